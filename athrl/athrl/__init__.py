@@ -1,0 +1,1 @@
+"""The command: train, evaluate, watch and see the state of a run."""

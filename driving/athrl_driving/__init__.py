@@ -1,0 +1,1 @@
+"""Towns, traffic, perception and control as gymnasium environments over highway-env."""

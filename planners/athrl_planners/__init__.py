@@ -1,0 +1,1 @@
+"""The planners: networks, agents, replay and the policy artefact."""

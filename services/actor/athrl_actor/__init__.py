@@ -1,0 +1,1 @@
+"""Drives environments with the newest policy and streams what happens."""

@@ -1,0 +1,1 @@
+"""Scores policies, records episodes and shows them."""

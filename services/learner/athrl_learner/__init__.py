@@ -1,0 +1,1 @@
+"""Takes experience in, trains, publishes policies and writes checkpoints."""
