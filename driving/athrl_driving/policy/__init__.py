@@ -1,0 +1,29 @@
+"""Drive with a policy artefact: the ONNX runner, exploration noise and a batch of environments.
+
+Needs `onnxruntime` (`pip install athrl-driving[policy]`) and nothing that trains.
+"""
+
+from athrl_driving.policy.batch import BatchStep, EnvironmentBatch, environment_config
+from athrl_driving.policy.exploration import ExplorationNoise
+from athrl_driving.policy.metadata import (
+    ActionMetadata,
+    InvalidPolicy,
+    LevelMetadata,
+    PolicyMetadata,
+    parse_metadata,
+)
+from athrl_driving.policy.runner import OnnxPolicy, PolicyStep
+
+__all__ = [
+    "ActionMetadata",
+    "BatchStep",
+    "EnvironmentBatch",
+    "ExplorationNoise",
+    "InvalidPolicy",
+    "LevelMetadata",
+    "OnnxPolicy",
+    "PolicyMetadata",
+    "PolicyStep",
+    "environment_config",
+    "parse_metadata",
+]
