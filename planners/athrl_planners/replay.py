@@ -1,0 +1,172 @@
+"""Replay of sequences: preallocated columns, a ring, uniform sampling with a generator of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from athrl_planners.sequence import Sequence, SequenceBatch
+from athrl_planners.settings import ObservationSettings
+
+_WORD = 2**64
+
+
+class SequenceReplay:
+    """Holds the newest sequences. One thread may insert while another samples.
+
+    The columns are allocated with the first insertion, so `bytes` can be announced before. Sequences are drawn evenly and
+    with replacement, so every stored decision is equally likely.
+    """
+
+    def __init__(
+        self,
+        capacity_transitions: int,
+        sequence_length: int,
+        observation: ObservationSettings,
+        levels: Mapping[str, tuple[int, int]],
+        seed: int,
+    ) -> None:
+        """Lay out the columns; `levels` has the action size and the state size of each level."""
+        if capacity_transitions < sequence_length:
+            raise ValueError(f"a capacity of {capacity_transitions} holds no sequence of {sequence_length}")
+        self.slots = math.ceil(capacity_transitions / sequence_length)
+        self.sequence_length = sequence_length
+        self._levels = tuple(levels)
+        self._layout = _layout(sequence_length, observation, levels)
+        self._columns: dict[str, np.ndarray] = {}
+        self._inserted = 0  # sequences ever; the next one goes to slot inserted % slots
+        self._transitions = 0
+        self._random = np.random.Generator(np.random.PCG64(seed))
+        self._lock = threading.Lock()
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the columns once they are allocated, in bytes."""
+        row = sum(math.prod(shape) * np.dtype(dtype).itemsize for shape, dtype in self._layout.values())
+        return row * self.slots
+
+    @property
+    def sequences(self) -> int:
+        """Sequences that are stored."""
+        return min(self._inserted, self.slots)
+
+    def __len__(self) -> int:
+        """Transitions that are stored, padding not counted."""
+        return self._transitions
+
+    def insert(self, sequence: Sequence) -> None:
+        """Store a copy of a sequence over the oldest one; raises ValueError if it does not fit the columns."""
+        row = self._row(sequence)
+        with self._lock:
+            self._allocate()
+            slot = self._inserted % self.slots
+            if self._inserted >= self.slots:
+                self._transitions -= int(self._columns["length"][slot])
+            for name, value in row.items():
+                self._columns[name][slot] = value
+            self._transitions += sequence.length
+            self._inserted += 1
+
+    def sample(self, batch: int) -> SequenceBatch:
+        """Draw a batch of sequences, as copies; raises ValueError while the replay is empty."""
+        with self._lock:
+            if not self.sequences:
+                raise ValueError("the replay is empty; insert a sequence before sampling")
+            slots = self._random.integers(self.sequences, size=batch)
+            rows = {name: column[slots] for name, column in self._columns.items()}
+        return SequenceBatch(
+            images=rows["images"],
+            motion=rows["motion"],
+            actions={level: rows[f"{level}.actions"] for level in self._levels},
+            rewards={level: rows[f"{level}.rewards"] for level in self._levels},
+            initial_state={level: rows[f"{level}.initial_state"] for level in self._levels},
+            length=rows["length"],
+            terminated=rows["terminated"],
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a restored replay needs: arrays (copies of the filled part) and ints."""
+        with self._lock:
+            filled = {name: column[: self.sequences].copy() for name, column in self._columns.items()}
+            return {"inserted": self._inserted, "random": self._random_words(), **filled}
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Become what `state` was taken from; raises ValueError if its columns do not fit this replay."""
+        inserted = int(state["inserted"])
+        filled = min(inserted, self.slots)
+        stored = {name: np.asarray(state[name]) for name in self._layout if inserted}
+        for name, value in stored.items():
+            _check(name, value, (filled, *self._layout[name][0]), self._layout[name][1])
+        with self._lock:
+            self._allocate()
+            for name, value in stored.items():
+                self._columns[name][:filled] = value
+            self._inserted = inserted
+            self._transitions = int(self._columns["length"][:filled].sum())
+            self._restore_random(np.asarray(state["random"]))
+
+    def _allocate(self) -> None:
+        if not self._columns:
+            self._columns = {
+                name: np.zeros((self.slots, *shape), dtype) for name, (shape, dtype) in self._layout.items()
+            }
+
+    def _row(self, sequence: Sequence) -> dict[str, np.ndarray]:
+        """The sequence as a row of the columns, checked."""
+        if not 1 <= sequence.length <= self.sequence_length:
+            raise ValueError(f"the length is {sequence.length}; it should be 1..{self.sequence_length}")
+        row = {
+            "images": sequence.images,
+            "motion": sequence.motion,
+            "length": np.int64(sequence.length),
+            "terminated": np.bool_(sequence.terminated),
+        }
+        for level in self._levels:
+            row[f"{level}.actions"] = sequence.actions[level]
+            row[f"{level}.rewards"] = sequence.rewards[level]
+            row[f"{level}.initial_state"] = sequence.initial_state[level]
+        for name, value in row.items():
+            _check(name, value, *self._layout[name])
+        return row
+
+    def _random_words(self) -> np.ndarray:
+        """The generator's state as uint64 [6], since its integers of 128 bits fit no array."""
+        state = self._random.bit_generator.state
+        value, increment = state["state"]["state"], state["state"]["inc"]
+        words = [*divmod(value, _WORD), *divmod(increment, _WORD), state["has_uint32"], state["uinteger"]]
+        return np.array(words, np.uint64)
+
+    def _restore_random(self, words: np.ndarray) -> None:
+        numbers = [int(word) for word in words]
+        self._random.bit_generator.state = {
+            "bit_generator": "PCG64",
+            "state": {"state": numbers[0] * _WORD + numbers[1], "inc": numbers[2] * _WORD + numbers[3]},
+            "has_uint32": numbers[4],
+            "uinteger": numbers[5],
+        }
+
+
+def _layout(
+    time: int, observation: ObservationSettings, levels: Mapping[str, tuple[int, int]]
+) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shape and dtype of one row of each column."""
+    layout: dict[str, tuple[tuple[int, ...], str]] = {
+        "images": ((time + 1, *observation.image_shape), "uint8"),
+        "motion": ((time + 1, observation.motion_size), "float32"),
+        "length": ((), "int64"),
+        "terminated": ((), "bool"),
+    }
+    for level, (action_size, state_size) in levels.items():
+        layout[f"{level}.actions"] = ((time, action_size), "float32")
+        layout[f"{level}.rewards"] = ((time,), "float32")
+        layout[f"{level}.initial_state"] = ((state_size,), "float32")
+    return layout
+
+
+def _check(name: str, value: np.ndarray, shape: tuple[int, ...], dtype: str) -> None:
+    if value.shape != shape or value.dtype != np.dtype(dtype):
+        raise ValueError(f"{name} is {value.dtype} {list(value.shape)}; it should be {dtype} {list(shape)}")
