@@ -1,0 +1,66 @@
+"""Which ways through a junction get in each other's way, from their geometry.
+
+Two vehicles whose centre lines come closer than `CLEARANCE` cannot pass each other. Movements that start
+from the same lane are no conflict: their vehicles follow each other until the ways have parted. Movements
+that lead to the same lane are.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from athrl_driving.maps.sketch import Sketch, SketchedMovement
+
+CLEARANCE = 3.0
+"""Metres between two centre lines: a vehicle's width, what its corners sweep in a turn, and a margin."""
+
+_SAMPLE_SPACING = 0.5
+
+
+def movement_relations(sketch: Sketch) -> tuple[list[list[int]], list[list[tuple[int, float]]]]:
+    """Return for every movement its conflicts, and its siblings with the metres of road that they share."""
+    paths = [_sampled(sketch, movement.lanes) for movement in sketch.movements]
+    conflicts: list[list[int]] = [[] for _ in paths]
+    siblings: list[list[tuple[int, float]]] = [[] for _ in paths]
+    for a, first in enumerate(sketch.movements):
+        for b, second in enumerate(sketch.movements):
+            if a == b or first.junction != second.junction:
+                continue
+            if first.origin == second.origin:
+                siblings[a].append((b, _shared_length(paths[a], paths[b], sketch, first)))
+            elif first.exit == second.exit or _distances(paths[a], paths[b]).min() < CLEARANCE:
+                conflicts[a].append(b)
+    return conflicts, siblings
+
+
+def lane_conflicts(sketch: Sketch, conflicts: list[list[int]]) -> list[list[int]]:
+    """Return for every lane the junction lanes of conflicting movements that it meets."""
+    result: list[list[int]] = [[] for _ in sketch.lanes]
+    paths = {row: _sampled(sketch, [row]) for row, lane in enumerate(sketch.lanes) if lane.movement >= 0}
+    for row, path in paths.items():
+        for movement in conflicts[sketch.lanes[row].movement]:
+            for other in sketch.movements[movement].lanes:
+                if _distances(path, paths[other]).min() < CLEARANCE:
+                    result[row].append(other)
+    return result
+
+
+def _sampled(sketch: Sketch, rows: list[int]) -> NDArray[np.float64]:
+    """Return points [n, 2] along a chain of rows."""
+    points = []
+    for row in rows:
+        piece = sketch.lanes[row].piece
+        count = max(2, int(np.ceil(piece.length / _SAMPLE_SPACING)) + 1)
+        points += [(pose.x, pose.y) for pose in map(piece.at, np.linspace(0.0, piece.length, count))]
+    return np.array(points)
+
+
+def _distances(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.norm(first[:, None] - second[None], axis=2)
+
+
+def _shared_length(
+    path: NDArray[np.float64], other: NDArray[np.float64], sketch: Sketch, movement: SketchedMovement
+) -> float:
+    close = np.flatnonzero(_distances(path, other).min(axis=1) < CLEARANCE)
+    whole = sum(sketch.lanes[row].piece.length for row in movement.lanes)
+    return whole if len(close) == len(path) else float(whole * (close[-1] + 1) / len(path))

@@ -1,0 +1,64 @@
+"""Positions on lanes and lanes of positions, compiled.
+
+The conventions are those of highway-env's `StraightLane` and `CircularLane`: longitudinal along the centre
+line from the lane's start, lateral positive to the driver's right. Headings are radians, distances metres.
+"""
+
+import math
+
+from numba import njit
+
+from athrl_driving.maps.lane_graph import LaneGraph
+
+
+@njit(cache=True, nogil=True)
+def lane_pose(graph: LaneGraph, lane: int, s: float) -> tuple[float, float, float]:
+    """Return (x, y, heading) at `s` metres along row `lane`."""
+    curvature = graph.curvature[lane]
+    heading = graph.start_heading[lane]
+    cos0, sin0 = graph.start_cos[lane], graph.start_sin[lane]
+    if curvature == 0.0:
+        return graph.start_x[lane] + s * cos0, graph.start_y[lane] + s * sin0, heading
+    heading += curvature * s
+    x = graph.start_x[lane] + (math.sin(heading) - sin0) / curvature
+    y = graph.start_y[lane] - (math.cos(heading) - cos0) / curvature
+    return x, y, heading
+
+
+@njit(cache=True, nogil=True)
+def lane_project(graph: LaneGraph, lane: int, x: float, y: float) -> tuple[float, float]:
+    """Return (longitudinal, lateral) of a point on row `lane`; on an arc within half a circle of its start."""
+    curvature = graph.curvature[lane]
+    cos0, sin0 = graph.start_cos[lane], graph.start_sin[lane]
+    dx, dy = x - graph.start_x[lane], y - graph.start_y[lane]
+    if curvature == 0.0:
+        return dx * cos0 + dy * sin0, dy * cos0 - dx * sin0
+    radius = 1.0 / curvature
+    # Seen from the centre of the circle: `radius * (sin0, -cos0)` points to the start.
+    dx += radius * sin0
+    dy -= radius * cos0
+    along = (dx * cos0 + dy * sin0) * radius
+    across = (dx * sin0 - dy * cos0) * radius
+    travelled = math.atan2(along, across)
+    distance = math.hypot(dx, dy)
+    lateral = radius - distance if radius > 0.0 else radius + distance
+    return travelled * radius, lateral
+
+
+@njit(cache=True, nogil=True)
+def closest_lane(graph: LaneGraph, x: float, y: float, heading: float) -> int:
+    """Return the row nearest to a pose: lateral distance, plus what lies outside the ends, plus the angle.
+
+    The measure is that of highway-env's `distance_with_heading`; ties go to the first row.
+    """
+    best, best_distance = 0, math.inf
+    for lane in range(graph.length.shape[0]):
+        s, lateral = lane_project(graph, lane, x, y)
+        distance = abs(lateral) + max(s - graph.length[lane], 0.0) + max(-s, 0.0)
+        if distance >= best_distance:
+            continue
+        angle = heading - graph.start_heading[lane] - graph.curvature[lane] * s
+        distance += abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
+        if distance < best_distance:
+            best, best_distance = lane, distance
+    return best
