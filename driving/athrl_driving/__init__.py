@@ -1,1 +1,57 @@
-"""Towns, traffic, perception and control as gymnasium environments over highway-env."""
+"""Towns, traffic, perception and control as gymnasium environments over highway-env.
+
+Importing the package registers its environments with gymnasium and loads nothing heavier than gymnasium;
+everything else is loaded when its name is first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from gymnasium.envs.registration import register, registry
+
+if TYPE_CHECKING:
+    from .drivers import BlindRouteFollower, Driver, RandomDriver, RuleBasedDriver, make_driver
+    from .envs import TownEnv
+    from .scene import Scene, VehiclePose, lane_polylines
+
+__all__ = [
+    "BlindRouteFollower",
+    "Driver",
+    "RandomDriver",
+    "RuleBasedDriver",
+    "Scene",
+    "TownEnv",
+    "VehiclePose",
+    "lane_polylines",
+    "make_driver",
+]
+
+_MODULE_OF_NAME = {
+    "BlindRouteFollower": "drivers",
+    "Driver": "drivers",
+    "RandomDriver": "drivers",
+    "RuleBasedDriver": "drivers",
+    "Scene": "scene",
+    "TownEnv": "envs",
+    "VehiclePose": "scene",
+    "lane_polylines": "scene",
+    "make_driver": "drivers",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load the module of a public name when the name is first used."""
+    if name not in _MODULE_OF_NAME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f".{_MODULE_OF_NAME[name]}", __name__), name)
+
+
+def _register_environments() -> None:
+    """Register what is not registered yet; a second import, as by `package:id`, is no error."""
+    if "athrl/Town03-v0" not in registry:
+        register(id="athrl/Town03-v0", entry_point="athrl_driving.envs:TownEnv")
+
+
+_register_environments()

@@ -1,0 +1,25 @@
+"""Drivers to compare a policy with; they act through the same waypoint and target speed as a policy."""
+
+from __future__ import annotations
+
+from .blind import BlindRouteFollower
+from .driver import Driver
+from .random_driver import RandomDriver
+from .rule_based import RuleBasedDriver
+
+DRIVERS: dict[str, type[Driver]] = {
+    "random": RandomDriver,
+    "blind": BlindRouteFollower,
+    "rule-based": RuleBasedDriver,
+}
+"""The drivers by name."""
+
+
+def make_driver(name: str) -> Driver:
+    """Make a driver; raises ValueError that lists the names for one that does not exist."""
+    if name not in DRIVERS:
+        raise ValueError(f"there is no driver {name!r}, there are {', '.join(DRIVERS)}")
+    return DRIVERS[name]()
+
+
+__all__ = ["DRIVERS", "BlindRouteFollower", "Driver", "RandomDriver", "RuleBasedDriver", "make_driver"]

@@ -1,0 +1,31 @@
+"""What every driver can do."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from ..envs import TownEnv
+
+
+class Driver(ABC):
+    """Decides for the ego of a town environment, wrapped or not."""
+
+    def reset(self, env: gymnasium.Env, seed: int) -> None:
+        """Begin an episode of `env`, which has been reset; `seed` makes what the driver draws repeatable."""
+        town_of(env)
+
+    @abstractmethod
+    def act(self, env: gymnasium.Env) -> NDArray[np.float32]:
+        """float32 [2] action within [-1, 1] for the environment's present moment."""
+
+
+def town_of(env: gymnasium.Env) -> TownEnv:
+    """The town environment inside its wrappers; raises TypeError that names what is there instead."""
+    town = env.unwrapped
+    if not isinstance(town, TownEnv):
+        raise TypeError(f"a driver needs a TownEnv, this is a {type(town).__name__}")
+    return town

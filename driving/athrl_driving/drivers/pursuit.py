@@ -1,0 +1,26 @@
+"""Pure pursuit of the route, expressed as the waypoint angle that makes the steering loop do it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..control import WHEEL_ANGLE_PER_STEERING, angle_in_frame
+from ..envs import TownEnv
+
+
+def pursuit_angle(env: TownEnv, distance: float) -> float:
+    """Waypoint angle (rad, positive to the right) that leads the ego to the route `distance` metres on.
+
+    The circle through the ego and the goal has a curvature; the bicycle model turns it into a wheel angle,
+    and the steering loop's gain that into the waypoint angle that commands it.
+    """
+    ego, route = env.vehicle, env.route
+    x, y = float(ego.position[0]), float(ego.position[1])
+    goal_x, goal_y, _ = route.poses(np.array([route.position + distance]))[0]
+    angle = angle_in_frame(x, y, ego.heading, (float(goal_x), float(goal_y)))
+    curvature = 2.0 * math.sin(angle) / math.hypot(goal_x - x, goal_y - y)
+    slip = math.asin(min(max(curvature * ego.WHEELBASE / 2.0, -0.9), 0.9))
+    wheel_angle = math.atan(2.0 * math.tan(slip))
+    return wheel_angle / WHEEL_ANGLE_PER_STEERING / ego.controller.steering_loop.proportional

@@ -1,0 +1,25 @@
+"""The driver below every other."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from .driver import Driver
+
+
+class RandomDriver(Driver):
+    """Draws every action uniformly."""
+
+    def __init__(self) -> None:
+        self._generator = np.random.default_rng(0)
+
+    def reset(self, env: gymnasium.Env, seed: int) -> None:
+        """Begin an episode with a generator of its own."""
+        super().reset(env, seed)
+        self._generator = np.random.default_rng(seed)
+
+    def act(self, env: gymnasium.Env) -> NDArray[np.float32]:
+        """A uniform action."""
+        return self._generator.uniform(-1.0, 1.0, size=2).astype(np.float32)

@@ -1,0 +1,61 @@
+"""The action: a target speed and the direction of a waypoint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.action import ActionType
+from numpy.typing import NDArray
+
+from .ego_vehicle import EgoVehicle
+
+if TYPE_CHECKING:
+    from .town_env import TownEnv
+
+
+class WaypointAction(ActionType):
+    """Box(-1, 1, (2,)): target speed from 0 to `maximum_speed`, waypoint angle from -half to +half angle.
+
+    The waypoint lies at `waypoint_radius` metres from the ego, at that angle to the right of its heading when
+    the decision is made, and stays where it is in the world until the next decision.
+    """
+
+    def __init__(self, env: TownEnv, **_: object) -> None:
+        super().__init__(env)
+        self.maximum_speed = float(env.config["maximum_speed"])
+        self.radius = float(env.config["waypoint_radius"])
+        self.half_angle = float(env.config["waypoint_half_angle"])
+
+    def space(self) -> spaces.Box:
+        """The action space, float32 [2]."""
+        return spaces.Box(-1.0, 1.0, shape=(2,), dtype=np.float32)
+
+    @property
+    def vehicle_class(self) -> Callable:
+        """The vehicle that can carry the action out."""
+        return EgoVehicle
+
+    def physical(self, action: NDArray[np.floating]) -> tuple[float, float]:
+        """(target speed m/s, waypoint angle rad) of a normalised action; it is clipped to [-1, 1]."""
+        speed, angle = (min(max(float(value), -1.0), 1.0) for value in action)
+        return (speed + 1.0) / 2.0 * self.maximum_speed, angle * self.half_angle
+
+    def normalised(self, target_speed: float, waypoint_angle: float) -> NDArray[np.float32]:
+        """float32 [2] action of a target speed (m/s) and a waypoint angle (rad), clipped to the ranges."""
+        action = np.array([2.0 * target_speed / self.maximum_speed - 1.0, waypoint_angle / self.half_angle])
+        return np.clip(action, -1.0, 1.0).astype(np.float32)
+
+    def act(self, action: NDArray[np.floating]) -> None:
+        """Hand the decision to the ego."""
+        ego = self.controlled_vehicle
+        target_speed, angle = self.physical(action)
+        direction = ego.heading + angle
+        waypoint = (
+            float(ego.position[0]) + self.radius * math.cos(direction),
+            float(ego.position[1]) + self.radius * math.sin(direction),
+        )
+        ego.follow(target_speed, waypoint)

@@ -1,0 +1,59 @@
+"""What a viewer or a recording needs to know about a moment of an episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .maps import load_town
+
+
+@dataclass(frozen=True)
+class VehiclePose:
+    """A vehicle's place, motion and size."""
+
+    x: float
+    """m"""
+    y: float
+    """m, downwards"""
+    heading: float
+    """rad, growing to the driver's right"""
+    speed: float
+    """m/s"""
+    length: float
+    """m"""
+    width: float
+    """m"""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A moment of an episode, in town coordinates."""
+
+    step: int
+    """Decisions since the episode began."""
+    time: float
+    """Simulated seconds since the episode began."""
+    ego: VehiclePose
+    vehicles: tuple[VehiclePose, ...]
+    route: NDArray[np.float64]
+    """[12, 2] the next waypoints of the route, m."""
+    waypoint: NDArray[np.float64]
+    """[2] the planner's waypoint, m; the ego's own place before the first decision."""
+    target_speed: float
+    """m/s"""
+    steering: float
+    """Angle of the front wheels, rad, positive to the right."""
+    acceleration: float
+    """m/s2"""
+    reward: float
+    """Of the last decision."""
+    reward_terms: dict[str, float]
+    """Weighted terms that sum to the reward."""
+
+
+def lane_polylines(town: str) -> list[NDArray[np.float64]]:
+    """Centre lines of a town's lanes, each float64 [n, 2] in metres, for drawing."""
+    return load_town(town).lane_polylines()
