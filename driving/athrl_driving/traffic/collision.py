@@ -1,0 +1,42 @@
+"""Do two vehicles touch? The separating-axis test for rectangles, as highway-env's polygon test decides it."""
+
+import math
+
+from numba import njit
+
+from athrl_driving.maps.lane_graph import Floats
+from athrl_driving.traffic.state import NOBODY, Background
+
+
+@njit(cache=True, nogil=True)
+def rectangles_touch(
+    x: float, y: float, heading: float, length: float, width: float,
+    other_x: float, other_y: float, other_heading: float, other_length: float, other_width: float,
+) -> bool:  # fmt: skip
+    """Tell whether two rectangles share a point. Centres, lengths and widths in metres, headings in radians."""
+    dx, dy = other_x - x, other_y - y
+    reach = math.hypot(length, width) + math.hypot(other_length, other_width)
+    if 4.0 * (dx * dx + dy * dy) > reach * reach:
+        return False
+    cos, sin = math.cos(heading), math.sin(heading)
+    other_cos, other_sin = math.cos(other_heading), math.sin(other_heading)
+    c, s = abs(cos * other_cos + sin * other_sin), abs(sin * other_cos - cos * other_sin)
+    return (
+        2.0 * abs(dx * cos + dy * sin) <= length + other_length * c + other_width * s
+        and 2.0 * abs(dy * cos - dx * sin) <= width + other_length * s + other_width * c
+        and 2.0 * abs(dx * other_cos + dy * other_sin) <= other_length + length * c + width * s
+        and 2.0 * abs(dy * other_cos - dx * other_sin) <= other_width + length * s + width * c
+    )
+
+
+@njit(cache=True, nogil=True)
+def first_touched(background: Background, ego: Floats) -> int:
+    """Return the first vehicle that the ego (x, y, heading, speed, length, width) touches, or -1."""
+    for row in range(background.x.shape[0]):
+        if rectangles_touch(
+            ego[0], ego[1], ego[2], ego[4], ego[5],
+            background.x[row], background.y[row], background.heading[row],
+            background.length[row], background.width[row],
+        ):  # fmt: skip
+            return row
+    return NOBODY

@@ -1,0 +1,180 @@
+"""Who crosses a junction when: reservations, first come first served, compiled.
+
+A vehicle asks for its movement in time to cross without braking and gets it when nobody holds a movement
+that gets in its way, when the ego is not in its way, and when there is room for it behind the junction; so
+nobody stands in a junction and blocks it. Who has waited longest is served first, and nobody overtakes it
+in time who would get in its way. Entries of a roundabout come after the ring, until they have waited
+`PATIENCE`; and they need room for two, so that the ring never fills up. The ego asks like everybody else;
+where it drives without asking, what it covers is taken.
+"""
+
+import math
+
+from numba import njit
+
+from athrl_driving.traffic.paths import plan_from
+from athrl_driving.traffic.state import NOBODY, PATH_LENGTH, Traffic
+
+SLOT = 10.0
+"""Metres of road that a standing vehicle needs behind a junction: its length and the gap to the next."""
+
+PATIENCE = 20.0
+"""Seconds after which an entry of a roundabout is served like everybody else."""
+
+DETOUR_AFTER = 8.0
+"""Seconds without room on the exit after which a vehicle draws another way."""
+
+GIVE_BACK_AFTER = 6.0
+"""Seconds that a vehicle may stand before the line with a right to cross before it has to ask again."""
+
+ASK_MARGIN = 15.0
+"""Metres before the point where it would have to brake for the line at which a vehicle asks."""
+
+LINE_BRAKING = 2.0
+"""m/s2 towards a stop line."""
+
+_ROOM_LOOK_AHEAD = 45.0
+
+
+@njit(cache=True, nogil=True)
+def count_holders(traffic: Traffic) -> None:
+    """Count who holds each movement and who is on the way to each exit."""
+    right_of_way, movements = traffic.right_of_way, traffic.movements
+    right_of_way.holders[:] = 0
+    right_of_way.inbound[:] = 0
+    right_of_way.claimed[:] = False
+    vehicles = traffic.background.lane.shape[0]
+    for row in range(vehicles + 1):
+        granted, crossing = right_of_way.granted[row], right_of_way.crossing[row]
+        if granted >= 0:
+            right_of_way.holders[granted] += 1
+            right_of_way.inbound[movements.exit[granted]] += 1
+        if crossing >= 0:
+            right_of_way.holders[crossing] += 1
+            if row == vehicles or traffic.graph.movement[traffic.background.lane[row]] == crossing:
+                right_of_way.inbound[movements.exit[crossing]] += 1
+
+
+@njit(cache=True, nogil=True)
+def ask(traffic: Traffic, row: int, speed: float) -> None:
+    """Let a vehicle that has looked ahead ask for its next movement, keep it, or give it back."""
+    right_of_way, now = traffic.right_of_way, traffic.scratch.clock[0]
+    ahead, line = right_of_way.ahead[row], right_of_way.line_distance[row]
+    if right_of_way.granted[row] != NOBODY:
+        idle = speed < 0.1 and line > 0.0 and now - right_of_way.granted_at[row] > GIVE_BACK_AFTER
+        if idle or right_of_way.granted[row] != ahead:
+            right_of_way.granted[row] = NOBODY
+    asks = ahead != NOBODY and right_of_way.granted[row] == NOBODY and not traffic.scratch.held_up[row]
+    if not asks or line > speed * speed / (2.0 * LINE_BRAKING) + ASK_MARGIN:
+        right_of_way.waiting_since[row] = math.inf
+    elif right_of_way.waiting_since[row] == math.inf:
+        right_of_way.waiting_since[row] = now
+
+
+@njit(cache=True, nogil=True)
+def serve(traffic: Traffic) -> None:
+    """Grant what can be granted, in order of waiting."""
+    right_of_way, movements = traffic.right_of_way, traffic.movements
+    ego_row = traffic.background.lane.shape[0]
+    for index in range(_queue(traffic)):
+        row = traffic.scratch.order[index]
+        movement = right_of_way.ahead[row]
+        if not _is_free(traffic, movement, row == ego_row):
+            if not _is_second(traffic, row):
+                right_of_way.claimed[movement] = True
+            continue
+        if not _has_room(traffic, movement):
+            _take_another_way(traffic, row)
+            continue
+        right_of_way.granted[row] = movement
+        right_of_way.granted_at[row] = traffic.scratch.clock[0]
+        right_of_way.waiting_since[row] = math.inf
+        right_of_way.holders[movement] += 1
+        right_of_way.inbound[movements.exit[movement]] += 1
+
+
+@njit(cache=True, nogil=True)
+def _is_second(traffic: Traffic, row: int) -> bool:
+    """Tell whether a vehicle at an entry still has to let the ring go first."""
+    right_of_way = traffic.right_of_way
+    waited = traffic.scratch.clock[0] - right_of_way.waiting_since[row]
+    return traffic.movements.yields[right_of_way.ahead[row]] and waited < PATIENCE
+
+
+@njit(cache=True, nogil=True)
+def _queue(traffic: Traffic) -> int:
+    """Sort who asks: entries last, then by waiting; return how many there are."""
+    right_of_way, order = traffic.right_of_way, traffic.scratch.order
+    count = 0
+    for row in range(traffic.background.lane.shape[0] + 1):
+        since = right_of_way.waiting_since[row]
+        if since == math.inf:
+            continue
+        second = _is_second(traffic, row)
+        place = count
+        while place > 0:
+            other = order[place - 1]
+            other_second = _is_second(traffic, other)
+            if other_second == second:
+                if right_of_way.waiting_since[other] <= since:
+                    break
+            elif second:
+                break
+            order[place] = other
+            place -= 1
+        order[place] = row
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _is_free(traffic: Traffic, movement: int, for_ego: bool) -> bool:
+    """Tell whether nobody is in the way of a movement, and nobody who has waited longer would be."""
+    right_of_way, movements, blocks = traffic.right_of_way, traffic.movements, traffic.ego_on_lanes.blocks
+    if not for_ego and blocks[movement] > 0:
+        return False
+    for index in range(movements.conflict_start[movement], movements.conflict_start[movement + 1]):
+        conflict = movements.conflict[index]
+        if right_of_way.holders[conflict] > 0 or right_of_way.claimed[conflict]:
+            return False
+        if not for_ego and blocks[conflict] == 2:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _has_room(traffic: Traffic, movement: int) -> bool:
+    """Tell whether the vehicle can leave the junction, even if those in front of it brake hard."""
+    graph, background = traffic.graph, traffic.background
+    lane = traffic.movements.exit[movement]
+    vehicles = traffic.right_of_way.inbound[lane] + (2 if traffic.movements.yields[movement] else 1)
+    needed = vehicles * SLOT
+    base = 0.0
+    while base < _ROOM_LOOK_AHEAD:
+        tail = traffic.ego_on_lanes.rear[lane]
+        other = traffic.scratch.first_on_lane[lane]
+        while other != NOBODY:
+            speed = background.speed[other]
+            tail = min(tail, background.s[other] - 0.5 * background.length[other] + speed * speed / 12.0)
+            other = traffic.scratch.next_on_lane[other]
+        if tail < math.inf:
+            return base + tail >= needed
+        base += graph.length[lane]
+        lane = graph.successor[graph.successor_start[lane]]
+        if graph.movement[lane] >= 0:
+            return base >= needed
+    return base >= needed
+
+
+@njit(cache=True, nogil=True)
+def _take_another_way(traffic: Traffic, row: int) -> None:
+    """Let a background vehicle whose exit stays full draw its path anew from the junction on."""
+    right_of_way, graph, background = traffic.right_of_way, traffic.graph, traffic.background
+    if row == background.lane.shape[0]:
+        return
+    if traffic.scratch.clock[0] - right_of_way.waiting_since[row] < DETOUR_AFTER:
+        return
+    for place in range(1, PATH_LENGTH):
+        if graph.movement[background.path[row, place]] == right_of_way.ahead[row]:
+            plan_from(graph, background, row, place)
+            return

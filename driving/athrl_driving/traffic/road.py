@@ -1,0 +1,117 @@
+"""A highway-env road whose background traffic is one compiled call a tick."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from highway_env.road.road import Road
+from highway_env.vehicle.behavior import IDMVehicle
+from numpy.typing import NDArray
+
+from athrl_driving.maps import Town
+from athrl_driving.traffic.collision import first_touched
+from athrl_driving.traffic.spawn import place_vehicles
+from athrl_driving.traffic.state import NOBODY, Background, new_traffic
+from athrl_driving.traffic.tick import advance, look
+from athrl_driving.traffic.vehicle import BackgroundVehicle
+
+_NO_EGO = np.empty(0)
+
+
+class TrafficRoad(Road):
+    """A town's road with background traffic that gives way at junctions.
+
+    `vehicles[0]` is the ego, any highway-env vehicle, appended before `spawn_background` is called; the
+    others are `BackgroundVehicle` objects over the arrays of `background`. Without an ego all vehicles are
+    background.
+
+    `ego_path` (int64, rows of the lane graph that the ego will drive, the present one among the first) is
+    for the environment to set: the ego asks for the junctions on it like everybody else.
+    """
+
+    def __init__(
+        self, town: Town, vehicles_count: int, np_random: np.random.Generator, record_history: bool = False
+    ) -> None:
+        super().__init__(network=town.network, np_random=np_random, record_history=record_history)
+        if vehicles_count < 0:
+            raise ValueError(f"vehicles_count is {vehicles_count}, but it must be 0 or more")
+        self.town = town
+        self.traffic = new_traffic(
+            town.graph, town.movements, vehicles_count, float(IDMVehicle.LENGTH), float(IDMVehicle.WIDTH)
+        )
+        self.ego_path: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+        self._ego_state = np.empty(6)
+
+    @property
+    def background(self) -> Background:
+        """The arrays of the background vehicles."""
+        return self.traffic.background
+
+    @property
+    def time(self) -> float:
+        """Seconds since the episode's start."""
+        return float(self.traffic.scratch.clock[0])
+
+    def spawn_background(
+        self, keep_clear_of: tuple[float, float] | None = None, clearance: float = 8.0
+    ) -> None:
+        """Place new background vehicles at random, no centre within `clearance` metres of `keep_clear_of` (m).
+
+        They start with speeds at which they can stop behind each other, behind the ego and at their stop
+        lines.
+        Raises `ValueError` where the town has no room for so many.
+        """
+        place_vehicles(self.traffic, self.np_random, keep_clear_of, clearance, self._observed_ego())
+        self.vehicles = [vehicle for vehicle in self.vehicles if not isinstance(vehicle, BackgroundVehicle)]
+        self.vehicles += [BackgroundVehicle(self, row) for row in range(len(self.background.lane))]
+
+    def act(self) -> None:
+        """Let the ego act; the background decides within `step`."""
+        if self._has_ego():
+            self.vehicles[0].act()
+
+    def step(self, dt: float) -> None:
+        """Move everybody on by `dt` seconds, the background in view of where the ego was before, and see who collides."""
+        advance(self.traffic, self._observed_ego(), self.ego_path, dt)
+        if not self._has_ego():
+            return
+        ego = self.vehicles[0]
+        ego.step(dt)
+        touched = first_touched(self.background, self._observed_ego())
+        if touched != NOBODY:
+            ego.crashed = True
+            self.background.crashed[touched] = True
+        for obstacle in self.objects:
+            ego.handle_collisions(obstacle, dt)
+
+    def leader_of_ego(self) -> tuple[float, float]:
+        """Return (gap m, speed m/s) of the nearest vehicle ahead on `ego_path`; an infinite gap and 0 without one.
+
+        The gap is from bumper to bumper along the path.
+        """
+        look(self.traffic, self._observed_ego(), self.ego_path)
+        row = len(self.background.lane)
+        gap = float(self.traffic.scratch.gap[row])
+        return (gap, float(self.traffic.scratch.leader_speed[row])) if math.isfinite(gap) else (math.inf, 0.0)
+
+    def ego_may_enter(self) -> bool:
+        """Tell whether the ego holds the next junction on its path, or none is near, as of the last tick."""
+        right_of_way = self.traffic.right_of_way
+        return bool(right_of_way.ahead[-1] == NOBODY or right_of_way.granted[-1] == right_of_way.ahead[-1])
+
+    def ego_stop_line(self) -> float:
+        """Return the distance (m) from the ego's front to the next junction on its path, as of the last tick."""
+        return float(self.traffic.right_of_way.line_distance[-1])
+
+    def _has_ego(self) -> bool:
+        return bool(self.vehicles) and not isinstance(self.vehicles[0], BackgroundVehicle)
+
+    def _observed_ego(self) -> NDArray[np.float64]:
+        if not self._has_ego():
+            return _NO_EGO
+        ego, state = self.vehicles[0], self._ego_state
+        state[0], state[1] = ego.position
+        state[2], state[3] = ego.heading, ego.speed
+        state[4], state[5] = ego.LENGTH, ego.WIDTH
+        return state

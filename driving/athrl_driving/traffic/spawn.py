@@ -1,0 +1,100 @@
+"""Where the background vehicles of a new episode start, and how fast."""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from athrl_driving.maps.geometry import lane_pose
+from athrl_driving.maps.lane_graph import Floats, LaneGraph
+from athrl_driving.traffic.following import approach_speed
+from athrl_driving.traffic.paths import plan_from
+from athrl_driving.traffic.right_of_way import LINE_BRAKING
+from athrl_driving.traffic.state import Background, Traffic
+from athrl_driving.traffic.tick import LINE_MARGIN, look
+
+SPACING = 12.0
+"""Metres between the centres of two places on a lane where a vehicle may start."""
+
+_JITTER = 1.0
+_SHORTEST_LANE = 25.0
+_TICK = 0.1
+
+
+def starting_places(graph: LaneGraph) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return lanes and m along them of the places where vehicles may start: on streets, out of junctions and rings."""
+    lanes: list[int] = []
+    along: list[float] = []
+    for lane in np.flatnonzero((graph.junction < 0) & (graph.length >= _SHORTEST_LANE)):
+        count = int(graph.length[lane] // SPACING)
+        lanes += [int(lane)] * count
+        along += [(place + 0.5) * SPACING for place in range(count)]
+    return np.array(lanes, dtype=np.int64), np.array(along)
+
+
+def place_vehicles(
+    traffic: Traffic,
+    np_random: np.random.Generator,
+    clear_of: tuple[float, float] | None,
+    clearance: float,
+    ego: Floats,
+) -> None:
+    """Place every vehicle anew. `clear_of` (m) has no centre within `clearance` metres; `ego` as in `tick.look`.
+
+    Raises `ValueError` where the town has no room for so many.
+    """
+    background = traffic.background
+    count = len(background.lane)
+    lanes, along = starting_places(traffic.graph)
+    order = np_random.permutation(len(lanes))
+    lanes, along = lanes[order], along[order] + np_random.uniform(-_JITTER, _JITTER, len(lanes))
+    desired_speeds = np_random.uniform(7.0, 9.0, count)
+    haste = np_random.uniform(0.5, 1.0, count)
+    background.random_state[:] = np_random.integers(0, 2**63, count, dtype=np.uint64)
+    x, y = clear_of if clear_of is not None else (math.inf, math.inf)
+    placed = _place(traffic.graph, background, lanes, along, x, y, clearance)
+    if placed < count:
+        raise ValueError(f"vehicles_count is {count}, but the town has room for {placed} at most")
+    background.desired_speed[:] = desired_speeds
+    _start(traffic, ego, np.empty(0, dtype=np.int64), haste)
+
+
+@njit(cache=True, nogil=True)
+def _place(
+    graph: LaneGraph,
+    background: Background,
+    lanes: NDArray[np.int64],
+    along: Floats,
+    x: float,
+    y: float,
+    clearance: float,
+) -> int:
+    """Put the vehicles on the first places that are clear and return how many found one."""
+    placed = 0
+    for index in range(lanes.shape[0]):
+        if placed == background.lane.shape[0]:
+            break
+        place_x, place_y, heading = lane_pose(graph, lanes[index], along[index])
+        if math.hypot(place_x - x, place_y - y) <= clearance:
+            continue
+        background.lane[placed], background.s[placed] = lanes[index], along[index]
+        background.x[placed], background.y[placed], background.heading[placed] = place_x, place_y, heading
+        background.path[placed, 0] = lanes[index]
+        plan_from(graph, background, placed, 1)
+        placed += 1
+    return placed
+
+
+@njit(cache=True, nogil=True)
+def _start(traffic: Traffic, ego: Floats, ego_path: NDArray[np.int64], haste: Floats) -> None:
+    """Give everybody a speed with which it can still stop behind its leader and before its line."""
+    background, scratch = traffic.background, traffic.scratch
+    background.speed[:] = 0.0
+    look(traffic, ego, ego_path)
+    for row in range(background.lane.shape[0]):
+        speed = haste[row] * min(background.desired_speed[row], traffic.pace[background.lane[row]])
+        line = traffic.right_of_way.line_distance[row] - LINE_MARGIN
+        speed = min(speed, approach_speed(min(line, 1e3), 0.0, LINE_BRAKING, _TICK))
+        gap = min(scratch.gap[row], 1e3) - 2.0
+        background.speed[row] = min(speed, approach_speed(gap, 0.0, LINE_BRAKING, _TICK))
