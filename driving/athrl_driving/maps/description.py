@@ -15,7 +15,7 @@ BOULEVARD_SPEED = 50.0 / 3.6
 
 @dataclass(frozen=True)
 class Node:
-    """Where roads meet: a junction, or a roundabout of `ring_radius` (m, to the middle of the ring's lane)."""
+    """Where roads meet: a junction, or a roundabout of `ring_radius` (m, to the middle of its lane)."""
 
     name: str
     x: float

@@ -27,7 +27,7 @@ def lane_pose(graph: LaneGraph, lane: int, s: float) -> tuple[float, float, floa
 
 @njit(cache=True, nogil=True)
 def lane_project(graph: LaneGraph, lane: int, x: float, y: float) -> tuple[float, float]:
-    """Return (longitudinal, lateral) of a point on row `lane`; on an arc within half a circle of its start."""
+    """Return (longitudinal, lateral) of a point on row `lane`; on an arc within half a circle."""
     curvature = graph.curvature[lane]
     cos0, sin0 = graph.start_cos[lane], graph.start_sin[lane]
     dx, dy = x - graph.start_x[lane], y - graph.start_y[lane]

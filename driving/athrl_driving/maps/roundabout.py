@@ -39,7 +39,7 @@ def lay_roundabout(sketch: Sketch, node: Node, arms: list[Arm]) -> None:
         span = (angle - (following.direction + MERGE_ANGLE)) % (2.0 * math.pi)
         if not _LEAST_SECTION <= span * radius < 1.5 * math.pi * radius:
             raise ValueError(
-                f"node {node.name}: {span * radius:.1f} m of ring between two arms, less than {_LEAST_SECTION} m"
+                f"node {node.name}: {span * radius:.1f} m of ring between two arms, not {_LEAST_SECTION}"
             )
         nodes = (f"{node.name}:{index}:joined", f"{node.name}:{(index + 1) % len(order)}:leaves")
         piece = Piece(ring_pose(angle), -1.0 / radius, span * radius)

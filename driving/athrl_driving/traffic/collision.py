@@ -1,4 +1,4 @@
-"""Do two vehicles touch? The separating-axis test for rectangles, as highway-env's polygon test decides it."""
+"""Do two vehicles touch? The separating-axis test, which decides as highway-env's polygon test does."""
 
 import math
 
@@ -13,7 +13,7 @@ def rectangles_touch(
     x: float, y: float, heading: float, length: float, width: float,
     other_x: float, other_y: float, other_heading: float, other_length: float, other_width: float,
 ) -> bool:  # fmt: skip
-    """Tell whether two rectangles share a point. Centres, lengths and widths in metres, headings in radians."""
+    """Tell whether two rectangles share a point. Lengths in metres, headings in radians."""
     dx, dy = other_x - x, other_y - y
     reach = math.hypot(length, width) + math.hypot(other_length, other_width)
     if 4.0 * (dx * dx + dy * dy) > reach * reach:

@@ -1,4 +1,4 @@
-"""The ego as the traffic sees it: what its body covers of every lane, and where on its path it is, compiled."""
+"""The ego as the traffic sees it: what it covers of every lane, and where on its path it is."""
 
 import math
 

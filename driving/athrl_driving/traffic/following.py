@@ -36,7 +36,7 @@ def idm_acceleration(speed: float, target_speed: float, distance: float, leader_
 
 @njit(cache=True, nogil=True)
 def approach_speed(distance: float, speed_there: float, deceleration: float, dt: float) -> float:
-    """Return the greatest speed (m/s) for the next tick with which `speed_there` is still met after `distance` metres."""
+    """Return the greatest next speed (m/s) with which `speed_there` is still met after `distance` metres."""
     if distance <= 0.0:
         return speed_there
     step = deceleration * dt

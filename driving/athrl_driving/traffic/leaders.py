@@ -82,7 +82,7 @@ def look_ahead(
 
 @njit(cache=True, nogil=True)
 def _parting(traffic: Traffic, movement: int, base: float, nearer_than: float) -> int:
-    """Return the nearest vehicle ahead on a way from the same origin that still covers a part of `movement`."""
+    """Return the nearest vehicle ahead on a way from the same origin that still covers some of `movement`."""
     graph, movements, background = traffic.graph, traffic.movements, traffic.background
     found = NOBODY
     for index in range(movements.sibling_start[movement], movements.sibling_start[movement + 1]):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from athrl_driving.maps import Town
@@ -42,6 +43,7 @@ class TrafficRoad(Road):
         )
         self.ego_path: NDArray[np.int64] = np.empty(0, dtype=np.int64)
         self._ego_state = np.empty(6)
+        self.vehicles: list[Vehicle]
 
     @property
     def background(self) -> Background:
@@ -56,11 +58,11 @@ class TrafficRoad(Road):
     def spawn_background(
         self, keep_clear_of: tuple[float, float] | None = None, clearance: float = 8.0
     ) -> None:
-        """Place new background vehicles at random, no centre within `clearance` metres of `keep_clear_of` (m).
+        """Place the background vehicles, no centre within `clearance` metres of the point `keep_clear_of`.
 
         They start with speeds at which they can stop behind each other, behind the ego and at their stop
         lines.
-        Raises `ValueError` where the town has no room for so many.
+        Raises `ValueError` where the town has no room.
         """
         place_vehicles(self.traffic, self.np_random, keep_clear_of, clearance, self._observed_ego())
         self.vehicles = [vehicle for vehicle in self.vehicles if not isinstance(vehicle, BackgroundVehicle)]
@@ -72,7 +74,7 @@ class TrafficRoad(Road):
             self.vehicles[0].act()
 
     def step(self, dt: float) -> None:
-        """Move everybody on by `dt` seconds, the background in view of where the ego was before, and see who collides."""
+        """Move everybody on by `dt` seconds and see what the ego hits; traffic sees where the ego was."""
         advance(self.traffic, self._observed_ego(), self.ego_path, dt)
         if not self._has_ego():
             return
@@ -86,7 +88,7 @@ class TrafficRoad(Road):
             ego.handle_collisions(obstacle, dt)
 
     def leader_of_ego(self) -> tuple[float, float]:
-        """Return (gap m, speed m/s) of the nearest vehicle ahead on `ego_path`; an infinite gap and 0 without one.
+        """Return (gap m, speed m/s) of the nearest vehicle ahead on `ego_path`, else (inf, 0).
 
         The gap is from bumper to bumper along the path.
         """

@@ -23,7 +23,7 @@ _TICK = 0.1
 
 
 def starting_places(graph: LaneGraph) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return lanes and m along them of the places where vehicles may start: on streets, out of junctions and rings."""
+    """Return lanes and m along them where vehicles may start: on streets, out of junctions and rings."""
     lanes: list[int] = []
     along: list[float] = []
     for lane in np.flatnonzero((graph.junction < 0) & (graph.length >= _SHORTEST_LANE)):
@@ -40,9 +40,9 @@ def place_vehicles(
     clearance: float,
     ego: Floats,
 ) -> None:
-    """Place every vehicle anew. `clear_of` (m) has no centre within `clearance` metres; `ego` as in `tick.look`.
+    """Place every vehicle anew, none within `clearance` metres of `clear_of`; `ego` as in `tick.look`.
 
-    Raises `ValueError` where the town has no room for so many.
+    Raises `ValueError` where the town has no room.
     """
     background = traffic.background
     count = len(background.lane)

@@ -31,7 +31,7 @@ _LEAST_GAP = 1.0
 
 @njit(cache=True, nogil=True)
 def look(traffic: Traffic, ego: Floats, ego_path: Integers) -> None:
-    """Find everybody's leader and next junction. `ego`: x, y, heading, speed, length, width; empty without an ego."""
+    """Find everybody's leader and junction. `ego`: x, y, heading, speed, length, width; empty without one."""
     background = traffic.background
     vehicles = background.lane.shape[0]
     sort_by_lane(traffic)
@@ -88,7 +88,7 @@ def advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> Non
 
 @njit(cache=True, nogil=True)
 def _acceleration(traffic: Traffic, row: int, dt: float) -> float:
-    """Return the car-following model's acceleration, limited by what curves, stop lines and safety allow (m/s2)."""
+    """Return the car-following acceleration (m/s2), limited by what curves, stop lines and safety allow."""
     graph, background, pace = traffic.graph, traffic.background, traffic.pace
     right_of_way, scratch = traffic.right_of_way, traffic.scratch
     speed, path = background.speed[row], background.path

@@ -14,13 +14,21 @@ if TYPE_CHECKING:
 
 
 class BackgroundVehicle(IDMVehicle):
-    """One row of the arrays. The road moves it; `act` and `step` do nothing, and what it shows cannot be set."""
+    """One row of the arrays. The road moves it; `act` and `step` do nothing, and its state is read only."""
 
     def __init__(self, road: TrafficRoad, row: int) -> None:
-        # highway-env's constructors would look for the closest lane and copy the state: the arrays hold it
-        all. self.road = road self.row = row self.collidable = self.solid = True self.check_collisions =
-        False self.hit = False self.impact = None self.enable_lane_change = False self.timer = 0.0
-        self.route = None self.history: list[IDMVehicle] = [] self.log: list[dict] = []
+        # highway-env's constructors would look for the closest lane and copy the state: the arrays hold all.
+        self.road = road
+        self.row = row
+        self.collidable = self.solid = True
+        self.check_collisions = False
+        self.hit = False
+        self.impact = None
+        self.enable_lane_change = False
+        self.timer = 0.0
+        self.route = None
+        self.history: list[IDMVehicle] = []
+        self.log: list[dict] = []
 
     @property
     def position(self) -> NDArray[np.float64]:
