@@ -1,15 +1,16 @@
 """atHRL: an intention planner over a trajectory planner, two recurrent DDPG agents trained together.
 
-The intention planner decides I in [0, 2] (left .. right), the trajectory planner sees I and decides target speed and
-waypoint. Losses, with s the context of a level's trunk and Q' the smaller of two target critics:
+The intention planner decides I in [0, 2] (left .. right), the trajectory planner sees I and decides target
+speed and waypoint. Losses, with s the context of a level's trunk and Q' the smaller of two target critics:
 
     TD error of a level    Huber(Q(s, a) - (scale * r + discount * Q'(s', a')))
     trajectory actor       -Q_l(s, I, pi_l(s, I))
     intention actor        -Q_h(s, pi_h(s)) - weight * Q_l(s, pi_h(s), pi_l(s, pi_h(s)))
 
-The last term is how the high level back-propagates both levels' errors (paper, "Hierarchical Off-Policy Actor-Critic").
-Deviations from the paper, each a setting: twin critics, delayed actors and smoothed target actions (TD3), a penalty on
-saturated actors, scaled rewards, averaged weights for publication. `networks.py` tells what actor and critic share.
+The last term is how the high level back-propagates both levels' errors (paper, "Hierarchical Off-Policy
+Actor-Critic"). Deviations from the paper, each a setting: twin critics, delayed actors and smoothed target
+actions (TD3), a penalty on saturated actors, scaled rewards, averaged weights for publication. `networks.py`
+tells what actor and critic share.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class AtHRL:
         noise: Mapping[str, np.ndarray] | None = None,
         forced: Mapping[str, np.ndarray] | None = None,
     ) -> PolicyOutput[np.ndarray]:
-        """Decide for a batch with the averaged actors, just as the artefact does; see `PolicyNetwork.forward`."""
+        """Decide for a batch with the averaged actors, as the artefact does; see `PolicyNetwork.forward`."""
 
         def tensors(arrays: Mapping[str, np.ndarray] | None) -> dict[str, Tensor]:
             return {
@@ -101,7 +102,7 @@ class AtHRL:
         )
 
     def update(self, batch: SequenceBatch, weights: np.ndarray | None = None) -> dict[str, float]:
-        """One update of both levels; `weights` float32 [batch] weigh the sequences. Returns what there is to plot."""
+        """One update of both levels; `weights` float32 [batch] weigh the sequences. Returns its metrics."""
         data = prepare(batch, self.settings.burn_in, weights, self.device)
         metrics: dict[str, float] = {}
         contexts = self._update_critics(data, metrics)
@@ -156,7 +157,7 @@ class AtHRL:
     def _update_actors(
         self, data: TrainingBatch, contexts: dict[str, Tensor], metrics: dict[str, float]
     ) -> None:
-        """Climb the critics. The trunks stay as they are, and only the actor that is meant gets a gradient."""
+        """Climb the critics. The trunks stay as they are; only the actor that is meant gets a gradient."""
         high, mid = self._high.online, self._mid.online
         intention_raw = high.actor(contexts[INTENTION], None)
         intention = torch.tanh(intention_raw)
@@ -175,7 +176,7 @@ class AtHRL:
     def _climb(
         self, level: Level, gain: Tensor, raw: Tensor, data: TrainingBatch, metrics: dict[str, float]
     ) -> None:
-        """Move a level's actor up `gain` [n], held back from saturating by its pre-tanh outputs `raw` [n, actions]."""
+        """Move an actor up `gain` [n]; a penalty on `raw` [n, actions], before the tanh, holds it back."""
         penalty = raw.square().sum(dim=1)
         loss = (self.settings.saturation_penalty * penalty - gain) @ data.weights
         gradients = torch.autograd.grad(loss, level.actor_parameters)
@@ -186,9 +187,10 @@ class AtHRL:
         metrics[f"{level.name}/actor_gradient"] = level.step_actor()
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on bit for bit: tensors and plain values, safe for `torch.load(weights_only=True)`.
+        """All that is needed to go on bit for bit: tensors and plain values.
 
-        The tensors are the agent's own; write or copy them before the next update.
+        `torch.load(weights_only=True)` reads it back. The tensors are the agent's own; write or copy them
+        before the next update.
         """
         return {
             "kind": self.kind,
@@ -198,22 +200,22 @@ class AtHRL:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from `state`; raises ValueError if it is another planner's, RuntimeError if networks differ."""
+        """Go on from `state`; raises ValueError if it is another planner's."""
         if state["kind"] != self.kind:
             raise ValueError(
                 f"the state is of a planner of kind {state['kind']!r}; this one is {self.kind!r}"
             )
         for level in (self._high, self._mid):
             level.load_state_dict(state["levels"][level.name])
-        self._noise.set_state(state["noise"])
+        self._noise.set_state(state["noise"].cpu())
         self.updates = int(state["updates"])
 
 
 def _online_context(trunk: Trunk, data: TrainingBatch, state: Tensor) -> Tensor:
-    """Contexts of the trained decisions, [n, context]. The convolutions' gradient is spared for the burn-in."""
+    """Contexts of the trained decisions, [n, context]; the burn-in is encoded without a gradient."""
     with torch.no_grad():
-        warming = trunk.features(data.images[data.warming], data.motion[data.warming])
-    trained = trunk.features(data.images[data.trained], data.motion[data.trained])
+        warming = trunk.features(data.pixels[data.warming], data.motion[data.warming])
+    trained = trunk.features(data.pixels[data.trained], data.motion[data.trained])
     features = trained.new_zeros(data.time * data.batch, trained.shape[1])
     features = features.index_copy(0, data.warming, warming).index_copy(0, data.trained, trained)
     context, _ = trunk.unroll(features.view(data.time, data.batch, -1), state)
@@ -222,7 +224,7 @@ def _online_context(trunk: Trunk, data: TrainingBatch, state: Tensor) -> Tensor:
 
 def _target_context(trunk: Trunk, data: TrainingBatch, state: Tensor) -> Tensor:
     """Contexts right after the trained decisions, [n, context]."""
-    observed = trunk.features(data.images[data.observed], data.motion[data.observed])
+    observed = trunk.features(data.pixels[data.observed], data.motion[data.observed])
     features = observed.new_zeros((data.time + 1) * data.batch, observed.shape[1])
     features = features.index_copy(0, data.observed, observed)
     context, _ = trunk.unroll(features.view(data.time + 1, data.batch, -1), state)

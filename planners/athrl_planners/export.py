@@ -1,9 +1,10 @@
 """The policy artefact: the published policy as one ONNX file that says what it is.
 
-Inputs: `image` uint8 [batch, height, width, channels], `motion` float32 [batch, motion], for each level L `L_state`
-float32 [batch, state] (zeros at an episode's start), and for each level but the last `L_noise` and `forced_L`
-float32 [batch, actions] in physical units (0: greedy; NaN: free). Outputs: each level's action L and `next_L_state`.
-The action of a level with noise or forced is the one that the level below saw. The metadata entry `athrl` is JSON.
+Inputs: `image` uint8 [batch, height, width, channels], `motion` float32 [batch, motion], for each level L
+`L_state` float32 [batch, state] (zeros at an episode's start), and for each level but the last `L_noise` and
+`forced_L` float32 [batch, actions] in physical units (0: greedy; NaN: free). Outputs: each level's action L
+and `next_L_state`. An action with noise or a forced one is put out as the level below saw it. The metadata
+entry `athrl` is JSON.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def _build(graph: OnnxGraph, agent: AtHRL) -> None:
     image = graph.input("image", TensorProto.UINT8, observation.image_shape)
     motion = graph.input("motion", TensorProto.FLOAT, (observation.motion_size,))
     pixels = graph.call("Transpose", graph.call("Cast", image, to=TensorProto.FLOAT), perm=[0, 3, 1, 2])
-    pixels = graph.call("Mul", pixels, graph.constant(np.float32(1 / 255).reshape(())))
+    pixels = graph.call("Mul", pixels, graph.constant(np.array(1 / 255, np.float32)))
     above: str | None = None
     for name in agent.levels:
         actions, state_size = agent.level_sizes[name]
@@ -93,7 +94,7 @@ def _build(graph: OnnxGraph, agent: AtHRL) -> None:
             forced = graph.input(f"forced_{name}", TensorProto.FLOAT, (actions,))
             action = graph.call("Where", graph.call("IsNaN", forced), action, forced)
         above = graph.call("Div", graph.call("Sub", action, centre), half_range)
-        above = graph.call("Clip", above, *(graph.constant(np.float32(end).reshape(())) for end in (-1, 1)))
+        above = graph.call("Clip", above, *(graph.constant(np.array(end, np.float32)) for end in (-1, 1)))
         graph.output(name, graph.call("Add", centre, graph.call("Mul", half_range, above)), (actions,))
         graph.output(f"next_{name}_state", next_state, (state_size,))
 

@@ -1,12 +1,13 @@
 """A small ONNX graph builder that knows the torch layers our networks are made of.
 
-The graph is written once; each weight is an initializer with the name of its torch parameter, so that later weights can
-be put in its place.
+The graph is written once; each weight is an initializer with the name of its torch parameter, so that later
+weights can be put in its place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import onnx
@@ -49,13 +50,13 @@ class OnnxGraph:
         self.weights.append(name)
         return name
 
-    def node(self, operator: str, *inputs: str, outputs: int = 1, **attributes: object) -> list[str]:
+    def node(self, operator: str, *inputs: str, outputs: int = 1, **attributes: Any) -> list[str]:
         """Any ONNX operator; returns the names of its outputs."""
         names = [f"{operator}_{len(self._nodes)}_{number}" for number in range(outputs)]
         self._nodes.append(helper.make_node(operator, list(inputs), names, **attributes))
         return names
 
-    def call(self, operator: str, *inputs: str, **attributes: object) -> str:
+    def call(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """An ONNX operator with one output."""
         return self.node(operator, *inputs, **attributes)[0]
 

@@ -10,14 +10,14 @@ import torch
 from torch import Tensor, nn
 
 from athrl_planners.level import Level
-from athrl_planners.networks import Actor, Trunk
+from athrl_planners.networks import Actor, Trunk, as_pixels
 
 Array = TypeVar("Array")
 
 
 @dataclass(frozen=True)
 class PolicyOutput(Generic[Array]):
-    """A decision of every level, float32 [batch, actions] in physical units, and the next states [batch, state]."""
+    """Each level's decision, float32 [batch, actions] in physical units, and next states [batch, state]."""
 
     actions: dict[str, Array]
     states: dict[str, Array]
@@ -37,10 +37,10 @@ class LevelPolicy(nn.Module):
         self.register_buffer("half_range", half_range)
 
     def forward(
-        self, images: Tensor, motion: Tensor, state: Tensor, above: Tensor | None
+        self, pixels: Tensor, motion: Tensor, state: Tensor, above: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         """One decision in physical units, [batch, actions], and the next state; `above` is normalised."""
-        features = self.trunk.features(images, motion)
+        features = self.trunk.features(pixels, motion)
         context, state = self.trunk.unroll(features.unsqueeze(0), state)
         return self.centre + self.half_range * torch.tanh(self.actor(context[0], above)), state
 
@@ -68,18 +68,20 @@ class PolicyNetwork(nn.Module):
         noise: Mapping[str, Tensor],
         forced: Mapping[str, Tensor],
     ) -> PolicyOutput[Tensor]:
-        """Decide: images uint8 [batch, height, width, channels], motion float32 [batch, motion], states [batch, state].
+        """Decide for images uint8 [batch, height, width, channels] and motion float32 [batch, motion].
 
-        `noise` and `forced` float32 [batch, actions], physical units, of any level but the last: the level's action
-        becomes the forced one where that is not NaN, else its own with the noise, within its range; that is what the
-        level below sees and what is returned.
+        `states` float32 [batch, state] of each level; `noise` and `forced` float32 [batch, actions], physical
+        units, of any level but the last: the level's action becomes the forced one where that is not NaN,
+        else its own with the noise, within its range; that is what the level below sees and what is returned.
         """
         actions: dict[str, Tensor] = {}
         next_states: dict[str, Tensor] = {}
         above: Tensor | None = None
+        pixels = as_pixels(images)
         for name in self.names:
             level = self.levels[name]
-            action, next_states[name] = level(images, motion, states[name], above)
+            assert isinstance(level, LevelPolicy)
+            action, next_states[name] = level(pixels, motion, states[name], above)
             if name in noise:
                 action = action + noise[name]
             if name in forced:

@@ -18,8 +18,8 @@ _WORD = 2**64
 class SequenceReplay:
     """Holds the newest sequences. One thread may insert while another samples.
 
-    The columns are allocated with the first insertion, so `bytes` can be announced before. Sequences are drawn evenly and
-    with replacement, so every stored decision is equally likely.
+    The columns are allocated with the first insertion, so `bytes` can be announced before. Sequences are
+    drawn evenly and with replacement, so every stored decision is equally likely.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class SequenceReplay:
         return self._transitions
 
     def insert(self, sequence: Sequence) -> None:
-        """Store a copy of a sequence over the oldest one; raises ValueError if it does not fit the columns."""
+        """Store a copy, in a full ring over the oldest sequence; raises ValueError if it does not fit."""
         row = self._row(sequence)
         with self._lock:
             self._allocate()
@@ -119,11 +119,11 @@ class SequenceReplay:
         """The sequence as a row of the columns, checked."""
         if not 1 <= sequence.length <= self.sequence_length:
             raise ValueError(f"the length is {sequence.length}; it should be 1..{self.sequence_length}")
-        row = {
+        row: dict[str, np.ndarray] = {
             "images": sequence.images,
             "motion": sequence.motion,
-            "length": np.int64(sequence.length),
-            "terminated": np.bool_(sequence.terminated),
+            "length": np.array(sequence.length, np.int64),
+            "terminated": np.array(sequence.terminated, np.bool_),
         }
         for level in self._levels:
             row[f"{level}.actions"] = sequence.actions[level]

@@ -1,7 +1,8 @@
 """A piece of one episode, and a batch of them, as NumPy columns.
 
-Both hold one more observation than decisions: `images[length]` is what was seen after the last decision. Decisions from
-`length` on, and observations after `length`, are padding. Actions and rewards are in physical units.
+Both hold one more observation than decisions: `images[length]` is what was seen after the last decision.
+Decisions from `length` on, and observations after `length`, are padding. Actions and rewards are in physical
+units.
 """
 
 from __future__ import annotations

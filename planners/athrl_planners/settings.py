@@ -1,4 +1,4 @@
-"""What a planner is told: its observation, its actions and how it learns. The defaults live with the caller."""
+"""What a planner is told: its observation, its actions and how it learns. The defaults are the caller's."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ NoiseKind = Literal["ornstein-uhlenbeck", "gaussian"]
 
 @dataclass(frozen=True)
 class ObservationSettings:
-    """The shape of an observation: an image uint8 [size, size, channels] and a motion vector float32 [motion]."""
+    """An observation: an image uint8 [size, size, channels] and a motion vector float32 [motion]."""
 
     image_size: int  # pixels
     image_channels: int = 4

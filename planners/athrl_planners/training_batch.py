@@ -1,7 +1,7 @@
 """A batch of sequences as an update needs it: tensors in time-major order, and which decisions are for what.
 
-Three kinds of decisions: trained ones enter the losses; warming ones (the burn-in) only bring the recurrent state up to
-date with the present networks; padding is never looked at.
+Three kinds of decisions: trained ones enter the losses; warming ones (the burn-in) only bring the recurrent
+state up to date with the present networks; padding is never looked at.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from athrl_planners.networks import as_pixels
 from athrl_planners.sequence import SequenceBatch
 
 
@@ -21,7 +22,7 @@ class TrainingBatch:
 
     time: int  # decisions of a sequence, padding included
     batch: int
-    images: Tensor  # uint8 [(time + 1) * batch, height, width, channels]
+    pixels: Tensor  # float32 [(time + 1) * batch, channels, height, width] in 0..1
     motion: Tensor  # float32 [(time + 1) * batch, motion]
     initial_state: dict[str, Tensor]  # per level: float32 [batch, state]
     warming: Tensor  # int64 [warming]: frames of the burn-in
@@ -57,7 +58,7 @@ def prepare(
     return TrainingBatch(
         time=time,
         batch=rows,
-        images=tensor(flat(batch.images)),
+        pixels=as_pixels(tensor(flat(batch.images))),
         motion=tensor(flat(batch.motion)),
         initial_state={level: tensor(state) for level, state in batch.initial_state.items()},
         warming=tensor(warming),
@@ -73,9 +74,9 @@ def prepare(
 def _burn_in(batch: SequenceBatch, burn_in: int) -> np.ndarray:
     """How many decisions of each sequence only warm the recurrent state: int64 [batch].
 
-    None where an episode starts: the zeros stored there are exact. And always fewer than the sequence has, so that an
-    episode's last decision, which may be a collision, is trained even when it lies in a short rest of an episode.
+    None where an episode starts: the zeros stored there are exact. And always fewer than the sequence has, so
+    that an episode's last decision, which may be a collision, is trained even when it lies in a short rest.
     """
-    stored = np.concatenate([state for state in batch.initial_state.values()], axis=1)
+    stored = np.concatenate(list(batch.initial_state.values()), axis=1)
     starts = ~stored.any(axis=1)
     return np.where(starts, 0, np.minimum(burn_in, batch.length - 1))
