@@ -1,1 +1,97 @@
-"""What the services of a run say to each other."""
+"""What the services of a run say to each other: messages, keys, sessions, delivery, the run file."""
+
+from athrl_protocol.announcements import (
+    EvaluationPublisher,
+    EvaluationResult,
+    EvaluationSubscriber,
+    Phase,
+    PolicyPublisher,
+    PolicySubscriber,
+    PolicyUpdate,
+    RunState,
+    StatePublisher,
+    StateSubscriber,
+    fetch_run_file,
+    serve_run_file,
+)
+from athrl_protocol.chunk import Chunk, LevelColumns, check_chunk
+from athrl_protocol.chunk_codec import decode_chunk, encode_chunk
+from athrl_protocol.errors import (
+    AddressInUse,
+    InvalidMessage,
+    LearnerNotFound,
+    ProtocolError,
+    RunFileError,
+    RunNotFound,
+)
+from athrl_protocol.frame import Frame, Point, Vehicle, decode_frame, encode_frame
+from athrl_protocol.intake import ChunkIntake, IntakeBusy, IntakeFinished, IntakeStatistics
+from athrl_protocol.keys import Keys, check_name, new_incarnation
+from athrl_protocol.live import FramePublisher, FrameSubscription, subscribe_frames
+from athrl_protocol.metrics import MetricsPublisher, MetricsReport, MetricsSubscriber
+from athrl_protocol.newest import NewestPublisher, NewestSubscriber
+from athrl_protocol.presence import Presence, PresenceWatcher, announce_presence
+from athrl_protocol.run_file import RunFile, default_toml, read_run_file, to_toml
+from athrl_protocol.schema import SCHEMA_HASH, SCHEMA_VERSION
+from athrl_protocol.session import complete_address, open_session
+from athrl_protocol.upload import ChunkUploader
+from athrl_protocol.upload_window import UploadStatistics
+
+__all__ = [
+    "SCHEMA_HASH",
+    "SCHEMA_VERSION",
+    "AddressInUse",
+    "Chunk",
+    "ChunkIntake",
+    "ChunkUploader",
+    "EvaluationPublisher",
+    "EvaluationResult",
+    "EvaluationSubscriber",
+    "Frame",
+    "FramePublisher",
+    "FrameSubscription",
+    "IntakeBusy",
+    "IntakeFinished",
+    "IntakeStatistics",
+    "InvalidMessage",
+    "Keys",
+    "LearnerNotFound",
+    "LevelColumns",
+    "MetricsPublisher",
+    "MetricsReport",
+    "MetricsSubscriber",
+    "NewestPublisher",
+    "NewestSubscriber",
+    "Phase",
+    "Point",
+    "PolicyPublisher",
+    "PolicySubscriber",
+    "PolicyUpdate",
+    "Presence",
+    "PresenceWatcher",
+    "ProtocolError",
+    "RunFile",
+    "RunFileError",
+    "RunNotFound",
+    "RunState",
+    "StatePublisher",
+    "StateSubscriber",
+    "UploadStatistics",
+    "Vehicle",
+    "announce_presence",
+    "check_chunk",
+    "check_name",
+    "complete_address",
+    "decode_chunk",
+    "decode_frame",
+    "default_toml",
+    "encode_chunk",
+    "encode_frame",
+    "fetch_run_file",
+    "new_incarnation",
+    "open_session",
+    "read_run_file",
+    "serve_run_file",
+    "subscribe_frames",
+    "to_toml",
+]

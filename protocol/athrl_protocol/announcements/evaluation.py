@@ -1,0 +1,106 @@
+"""Results of evaluations: each evaluator to all; of each driver a latecomer gets the newest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
+from athrl_protocol.keys import Keys
+from athrl_protocol.schema import decode_message, encode_message
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """The scores of one driver over a set of episodes.
+
+    Attributes:
+        driver: policy, random, blind or rule-based.
+        policy_version: version of the policy, 0 for other drivers.
+        environment_steps: of the run when the policy was published.
+        town: where the episodes were driven.
+        seed: of the first episode.
+        scores: by the score's name, as `athrl evaluate --json` prints them.
+    """
+
+    driver: str
+    policy_version: int
+    environment_steps: int
+    town: str
+    seed: int
+    scores: dict[str, float]
+
+
+def _encode(result: EvaluationResult) -> bytes:
+    return encode_message(
+        athrl_pb2.Evaluation(
+            driver=result.driver,
+            policy_version=result.policy_version,
+            environment_steps=result.environment_steps,
+            town=result.town,
+            seed=result.seed,
+            scores=result.scores,
+        )
+    )
+
+
+def _decode(payload: bytes) -> EvaluationResult:
+    message = decode_message(athrl_pb2.Evaluation, payload)
+    return EvaluationResult(
+        driver=message.driver,
+        policy_version=message.policy_version,
+        environment_steps=message.environment_steps,
+        town=message.town,
+        seed=message.seed,
+        scores=dict(message.scores),
+    )
+
+
+class EvaluationPublisher:
+    """Publishes results, used by an evaluator.
+
+    Args:
+        session: an open session.
+        run: name of the run.
+        name: the evaluator's, so that two evaluators do not replace each other's results.
+    """
+
+    def __init__(self, session: zenoh.Session, run: str, name: str = "evaluator") -> None:
+        self._session = session
+        self._keys = Keys(run)
+        self._name = name
+        self._publishers: dict[str, TypedPublisher[EvaluationResult]] = {}
+
+    def publish(self, result: EvaluationResult) -> None:
+        """Make `result` the newest of its driver and send it to all."""
+        if result.driver not in self._publishers:
+            key = self._keys.evaluation(self._name, result.driver)
+            self._publishers[result.driver] = TypedPublisher(self._session, key, _encode)
+        self._publishers[result.driver].publish(result)
+
+    def close(self) -> None:
+        """Stop publishing; latecomers get no answer any more."""
+        for publisher in self._publishers.values():
+            publisher.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class EvaluationSubscriber(TypedSubscriber[EvaluationResult]):
+    """Receives the results of all evaluators; `newest` is the one that arrived last."""
+
+    def __init__(
+        self, session: zenoh.Session, run: str, on_value: Callable[[EvaluationResult], None] | None = None
+    ) -> None:
+        super().__init__(session, Keys(run).every_evaluation, _decode, on_value)

@@ -1,0 +1,79 @@
+"""The run file: the learner serves it, so that a service starts with an address and a run's name only."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import zenoh
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.errors import LearnerNotFound, RunNotFound
+from athrl_protocol.keys import EVERY_RUN_FILE, Keys, run_of
+from athrl_protocol.newest import NewestPublisher
+from athrl_protocol.run_file import RunFile
+from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.session import address_of
+
+QUERY_SECONDS = 1.0
+PAUSE_SECONDS = 0.1
+# A learner behind a router may come a little later than others; without one, waiting is in vain.
+OTHER_RUNS_SECONDS = 2.0
+
+
+def serve_run_file(session: zenoh.Session, run_file: RunFile) -> NewestPublisher:
+    """Serve the run file under its run's name until what is returned is closed."""
+    name = run_file.run.name
+    publisher = NewestPublisher(session, Keys(name).run_file)
+    publisher.publish(encode_message(athrl_pb2.RunFile(run=name, json=run_file.to_json())))
+    return publisher
+
+
+def fetch_run_file(
+    session: zenoh.Session, run: str, timeout: float, stop: threading.Event | None = None
+) -> RunFile:
+    """Ask the learner for the run file of `run`.
+
+    Args:
+        session: an open session to the learner.
+        run: name of the run.
+        timeout: seconds to wait for a learner.
+        stop: set by somebody else to give up waiting early.
+
+    Raises:
+        RunNotFound: other runs are served there; the text names them.
+        LearnerNotFound: nobody serves any run there within the timeout, or `stop` was set.
+        InvalidMessage: the learner is of another release.
+        RunFileError: the learner's run file is not valid in this release.
+    """
+    stop = stop or threading.Event()
+    started = time.monotonic()
+    key = Keys(run).run_file
+    while True:
+        for payload in _ask(session, key).values():
+            return RunFile.from_json(decode_message(athrl_pb2.RunFile, payload).json)
+        waited = time.monotonic() - started
+        others = sorted(run_of(other) for other in _ask(session, EVERY_RUN_FILE))
+        if others and run not in others and waited >= min(timeout, OTHER_RUNS_SECONDS):
+            raise RunNotFound(
+                f"no run {run!r} at {address_of(session)}: name one of those it has, {', '.join(others)}"
+            )
+        if waited >= timeout or stop.wait(PAUSE_SECONDS):
+            raise LearnerNotFound(
+                f"no learner serves run {run!r} at {address_of(session)} within {timeout:g} s: start it there"
+            )
+
+
+def _ask(session: zenoh.Session, key: str) -> dict[str, bytes]:
+    """Return payloads by key of all who answer."""
+    replies = session.get(
+        key,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=QUERY_SECONDS,
+    )
+    found: dict[str, bytes] = {}
+    for reply in replies:
+        if reply.ok is not None:
+            found[str(reply.ok.key_expr)] = reply.ok.payload.to_bytes()
+    return found

@@ -1,0 +1,90 @@
+"""The state of a run: learner to all, each second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import zenoh
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
+from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.keys import Keys
+from athrl_protocol.schema import decode_message, encode_message
+
+
+class Phase(Enum):
+    """Where a run is."""
+
+    WARMING_UP = athrl_pb2.RunState.WARMING_UP
+    TRAINING = athrl_pb2.RunState.TRAINING
+    DRAINING = athrl_pb2.RunState.DRAINING
+    FINISHED = athrl_pb2.RunState.FINISHED
+
+
+@dataclass(frozen=True)
+class RunState:
+    """The state of a run.
+
+    Attributes:
+        phase: where the run is; draining means it was stopped early and can be resumed.
+        environment_steps: decisions taken in so far.
+        environment_steps_target: decisions at which the run ends.
+        updates: of the planner so far.
+        policy_version: the newest published one.
+        waiting: who waits for whom and why; empty if nobody does.
+    """
+
+    phase: Phase
+    environment_steps: int
+    environment_steps_target: int
+    updates: int
+    policy_version: int
+    waiting: str = ""
+
+
+def _encode(state: RunState) -> bytes:
+    return encode_message(
+        athrl_pb2.RunState(
+            phase=state.phase.value,
+            environment_steps=state.environment_steps,
+            environment_steps_target=state.environment_steps_target,
+            updates=state.updates,
+            policy_version=state.policy_version,
+            waiting=state.waiting,
+        )
+    )
+
+
+def _decode(payload: bytes) -> RunState:
+    message = decode_message(athrl_pb2.RunState, payload)
+    try:
+        phase = Phase(message.phase)
+    except ValueError:
+        raise InvalidMessage("value", f"run state: phase {message.phase} is not known") from None
+    return RunState(
+        phase=phase,
+        environment_steps=message.environment_steps,
+        environment_steps_target=message.environment_steps_target,
+        updates=message.updates,
+        policy_version=message.policy_version,
+        waiting=message.waiting,
+    )
+
+
+class StatePublisher(TypedPublisher[RunState]):
+    """Publishes the run's state, used by the learner."""
+
+    def __init__(self, session: zenoh.Session, run: str) -> None:
+        super().__init__(session, Keys(run).state, _encode)
+
+
+class StateSubscriber(TypedSubscriber[RunState]):
+    """Keeps the newest state of the run."""
+
+    def __init__(
+        self, session: zenoh.Session, run: str, on_value: Callable[[RunState], None] | None = None
+    ) -> None:
+        super().__init__(session, Keys(run).state, _decode, on_value)

@@ -1,0 +1,143 @@
+"""A chunk: a fixed-length piece of one environment's episode, in columns; and what makes it valid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from athrl_protocol.errors import InvalidMessage, ProtocolError
+from athrl_protocol.keys import check_name
+
+# Bounds on what a message from outside can make the receiver allocate.
+MAXIMUM_TIME = 1_024
+MAXIMUM_LEVELS = 16
+MAXIMUM_IMAGES_BYTES = 64 * 2**20
+MAXIMUM_COLUMN_BYTES = 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class LevelColumns:
+    """What one level of the planner did.
+
+    Attributes:
+        actions: float32 [time, action_size], physical units.
+        rewards: float32 [time].
+        initial_state: float32 [state_size], the recurrent state before the first step; may be empty.
+    """
+
+    actions: npt.NDArray[np.float32]
+    rewards: npt.NDArray[np.float32]
+    initial_state: npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """A piece of one episode; steps from `length` on are padding (zeros).
+
+    Attributes:
+        actor: name of the actor.
+        incarnation: of the actor's process, see `new_incarnation`.
+        sequence: number of the chunk within the incarnation, from 0; the uploader sets it.
+        environment: index of the environment in its actor.
+        episode_seed: seed with which the episode was reset.
+        first_step: decision of the episode at which the chunk starts.
+        length: valid steps, 1 to `time`.
+        images: uint8 [time + 1, height, width, channels]; `images[length]` is the last valid step's next
+            observation, which is the terminal one if the episode ended.
+        motion: float32 [time + 1, motion_size], likewise.
+        levels: columns by the level's name, from the highest level down.
+        policy_version: int64 [time], the version that chose each action.
+        terminated: the last valid step ended the episode.
+        truncated: the last valid step met the time limit.
+        oldest_held: lowest sequence that the actor can still send; the uploader sets it.
+    """
+
+    actor: str
+    incarnation: int
+    sequence: int
+    environment: int
+    episode_seed: int
+    first_step: int
+    length: int
+    images: npt.NDArray[np.uint8]
+    motion: npt.NDArray[np.float32]
+    levels: dict[str, LevelColumns]
+    policy_version: npt.NDArray[np.int64]
+    terminated: bool
+    truncated: bool
+    oldest_held: int = 0
+
+    @property
+    def time(self) -> int:
+        """The fixed length, padding included."""
+        return len(self.policy_version)
+
+
+def check_chunk(chunk: Chunk) -> None:
+    """Check shapes, types, bounds and values of a chunk.
+
+    Raises:
+        InvalidMessage: naming the column that is wrong, with what it is and what it should be.
+    """
+    _check_identity(chunk)
+    time = chunk.time
+    if not 1 <= time <= MAXIMUM_TIME:
+        raise InvalidMessage("shape", f"chunk: time is {time}, should be 1 to {MAXIMUM_TIME}")
+    if not 1 <= chunk.length <= time:
+        raise InvalidMessage("shape", f"chunk: length is {chunk.length}, should be 1 to time = {time}")
+    _check_column("policy_version", chunk.policy_version, np.int64, (time,))
+    if chunk.policy_version.min() < 0:
+        raise InvalidMessage("value", "chunk: policy_version has negative numbers")
+    _check_column("images", chunk.images, np.uint8, (time + 1, None, None, None))
+    if not 0 < chunk.images.nbytes <= MAXIMUM_IMAGES_BYTES:
+        raise InvalidMessage(
+            "size", f"chunk: images of {chunk.images.nbytes} bytes, should be 1 to {MAXIMUM_IMAGES_BYTES}"
+        )
+    _check_column("motion", chunk.motion, np.float32, (time + 1, None))
+    if not 1 <= len(chunk.levels) <= MAXIMUM_LEVELS:
+        raise InvalidMessage("shape", f"chunk: {len(chunk.levels)} levels, should be 1 to {MAXIMUM_LEVELS}")
+    for name, level in chunk.levels.items():
+        _check_name("level", name)
+        _check_column(f"{name}.actions", level.actions, np.float32, (time, None))
+        _check_column(f"{name}.rewards", level.rewards, np.float32, (time,))
+        _check_column(f"{name}.initial_state", level.initial_state, np.float32, (level.initial_state.size,))
+
+
+def _check_identity(chunk: Chunk) -> None:
+    _check_name("actor", chunk.actor)
+    for name, bits in (("incarnation", 64), ("sequence", 63), ("oldest_held", 63), ("episode_seed", 64)):
+        _check_number(name, getattr(chunk, name), bits)
+    _check_number("environment", chunk.environment, 32)
+    _check_number("first_step", chunk.first_step, 32)
+
+
+def _check_number(name: str, value: int, bits: int) -> None:
+    if not 0 <= value < 2**bits:
+        raise InvalidMessage("value", f"chunk: {name} is {value}, should be 0 to 2^{bits} - 1")
+
+
+def _check_name(kind: str, name: str) -> None:
+    try:
+        check_name(kind, name)
+    except ProtocolError as error:
+        raise InvalidMessage("value", f"chunk: {error}") from None
+
+
+def _check_column(name: str, column: npt.NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> None:
+    """Check one column; a size of None in `shape` is any size from 1 on."""
+    if column.dtype != dtype:
+        raise InvalidMessage("shape", f"chunk: {name} is {column.dtype}, should be {np.dtype(dtype)}")
+    fits = column.ndim == len(shape) and all(
+        size >= 1 if wanted is None else size == wanted
+        for size, wanted in zip(column.shape, shape, strict=True)
+    )
+    if not fits:
+        wanted_shape = ", ".join("any" if size is None else str(size) for size in shape)
+        raise InvalidMessage(
+            "shape", f"chunk: {name} has shape {list(column.shape)}, should be [{wanted_shape}]"
+        )
+    if column.dtype == np.float32 and not np.isfinite(column).all():
+        raise InvalidMessage("value", f"chunk: {name} has numbers that are not finite")

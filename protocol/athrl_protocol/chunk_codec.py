@@ -1,0 +1,176 @@
+"""Chunks as bytes: one protobuf bytes field a column, the images compressed with zstd.
+
+Decoding copies nothing but the images: every other column is a read-only view into the message. Nothing
+is decompressed before the size that the message announces has been checked.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.chunk import (
+    MAXIMUM_COLUMN_BYTES,
+    MAXIMUM_IMAGES_BYTES,
+    MAXIMUM_LEVELS,
+    MAXIMUM_TIME,
+    Chunk,
+    LevelColumns,
+    check_chunk,
+)
+from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.schema import decode_message, encode_message
+
+# Level 1 shrinks bird's eye views as much as level 3 does, in less time.
+COMPRESSION_LEVEL = 1
+# zstd's worst case is the content plus 1/256; what is longer is not worth a look.
+MAXIMUM_MESSAGE_BYTES = MAXIMUM_IMAGES_BYTES + MAXIMUM_IMAGES_BYTES // 128
+
+_FLOAT32 = np.dtype("<f4")
+_INT64 = np.dtype("<i8")
+
+
+class _Compression(threading.local):
+    """zstd contexts are costly to make and must not be shared between threads."""
+
+    def __init__(self) -> None:
+        self.compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
+        self.decompressor = zstandard.ZstdDecompressor()
+
+
+_compression = _Compression()
+
+
+def encode_chunk(chunk: Chunk) -> bytes:
+    """Return the chunk as a message.
+
+    Raises:
+        InvalidMessage: the chunk itself is not valid, see `check_chunk`.
+    """
+    check_chunk(chunk)
+    _, height, width, channels = chunk.images.shape
+    message = athrl_pb2.Chunk(
+        actor=chunk.actor,
+        incarnation=chunk.incarnation,
+        sequence=chunk.sequence,
+        environment=chunk.environment,
+        episode_seed=chunk.episode_seed,
+        first_step=chunk.first_step,
+        time=chunk.time,
+        length=chunk.length,
+        image_height=height,
+        image_width=width,
+        image_channels=channels,
+        motion_size=chunk.motion.shape[1],
+        images=_compression.compressor.compress(np.ascontiguousarray(chunk.images).data),
+        motion=chunk.motion.astype(_FLOAT32, copy=False).tobytes(),
+        policy_version=chunk.policy_version.astype(_INT64, copy=False).tobytes(),
+        terminated=chunk.terminated,
+        truncated=chunk.truncated,
+        oldest_held=chunk.oldest_held,
+    )
+    for name, level in chunk.levels.items():
+        message.levels.add(
+            name=name,
+            action_size=level.actions.shape[1],
+            actions=level.actions.astype(_FLOAT32, copy=False).tobytes(),
+            rewards=level.rewards.astype(_FLOAT32, copy=False).tobytes(),
+            initial_state=level.initial_state.astype(_FLOAT32, copy=False).tobytes(),
+        )
+    return encode_message(message)
+
+
+def with_oldest_held(encoded: bytes, oldest_held: int) -> bytes:
+    """Return an encoded chunk, which has `oldest_held` 0, with that number and without encoding it again.
+
+    Messages that follow each other merge, and the last value of a field counts (protobuf's encoding
+    guide, "Last One Wins").
+    """
+    return encoded + athrl_pb2.Chunk(oldest_held=oldest_held).SerializeToString() if oldest_held else encoded
+
+
+def decode_chunk(payload: bytes) -> Chunk:
+    """Return the chunk in a message; its arrays are read-only.
+
+    Raises:
+        InvalidMessage: the message is malformed, of another schema, too large, or its chunk is not valid.
+    """
+    if len(payload) > MAXIMUM_MESSAGE_BYTES:
+        raise InvalidMessage("size", f"chunk: {len(payload)} bytes, at most {MAXIMUM_MESSAGE_BYTES}")
+    message = decode_message(athrl_pb2.Chunk, payload)
+    if not 1 <= message.time <= MAXIMUM_TIME or len(message.levels) > MAXIMUM_LEVELS:
+        raise InvalidMessage(
+            "shape", f"chunk: time {message.time} with {len(message.levels)} levels is out of bounds"
+        )
+    chunk = Chunk(
+        actor=message.actor,
+        incarnation=message.incarnation,
+        sequence=message.sequence,
+        environment=message.environment,
+        episode_seed=message.episode_seed,
+        first_step=message.first_step,
+        length=message.length,
+        images=_images(message),
+        motion=_column("motion", message.motion, _FLOAT32, (message.time + 1, message.motion_size)),
+        levels=_levels(message),
+        policy_version=_column("policy_version", message.policy_version, _INT64, (message.time,)),
+        terminated=message.terminated,
+        truncated=message.truncated,
+        oldest_held=message.oldest_held,
+    )
+    check_chunk(chunk)
+    return chunk
+
+
+def _levels(message: athrl_pb2.Chunk) -> dict[str, LevelColumns]:
+    levels: dict[str, LevelColumns] = {}
+    for level in message.levels:
+        if level.name in levels:
+            raise InvalidMessage("shape", f"chunk: level {level.name!r} comes twice")
+        states = len(level.initial_state) // _FLOAT32.itemsize
+        levels[level.name] = LevelColumns(
+            actions=_column("actions", level.actions, _FLOAT32, (message.time, level.action_size)),
+            rewards=_column("rewards", level.rewards, _FLOAT32, (message.time,)),
+            initial_state=_column("initial_state", level.initial_state, _FLOAT32, (states,)),
+        )
+    return levels
+
+
+def _column(name: str, content: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """Return a read-only view of the shape on a field's bytes."""
+    expected = dtype.itemsize
+    for size in shape:
+        expected *= size
+    if expected > MAXIMUM_COLUMN_BYTES or len(content) != expected:
+        raise InvalidMessage(
+            "size",
+            f"chunk: {name} has {len(content)} bytes, {list(shape)} needs {expected} "
+            f"(at most {MAXIMUM_COLUMN_BYTES} are allowed)",
+        )
+    return np.frombuffer(content, dtype).reshape(shape)
+
+
+def _images(message: athrl_pb2.Chunk) -> npt.NDArray[np.uint8]:
+    shape = (message.time + 1, message.image_height, message.image_width, message.image_channels)
+    expected = shape[0] * shape[1] * shape[2] * shape[3]
+    if not 0 < expected <= MAXIMUM_IMAGES_BYTES:
+        raise InvalidMessage(
+            "size", f"chunk: images of {expected} bytes, should be 1 to {MAXIMUM_IMAGES_BYTES}"
+        )
+    try:
+        announced = zstandard.frame_content_size(message.images)
+        if announced != expected:
+            raise InvalidMessage(
+                "size", f"chunk: images unpack to {announced} bytes, {list(shape)} needs {expected}"
+            )
+        content = _compression.decompressor.decompress(message.images, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise InvalidMessage("images", f"chunk: images are no zstd frame ({error})") from None
+    if len(content) != expected:
+        raise InvalidMessage("size", f"chunk: images unpack to {len(content)} bytes, should be {expected}")
+    return np.frombuffer(content, np.uint8).reshape(shape)

@@ -1,0 +1,35 @@
+"""What can go wrong between services; the text of each error is one line that says what to do."""
+
+from __future__ import annotations
+
+
+class ProtocolError(Exception):
+    """Base of this room's errors."""
+
+
+class AddressInUse(ProtocolError):  # noqa: N818 - the names say what happened, as in the standard library
+    """Another process listens at the address already."""
+
+
+class LearnerNotFound(ProtocolError):  # noqa: N818
+    """Nobody answers at the address."""
+
+
+class RunNotFound(ProtocolError):  # noqa: N818
+    """The address serves other runs, not this one."""
+
+
+class RunFileError(ProtocolError):
+    """The run file, or an override of one of its keys, is wrong."""
+
+
+class InvalidMessage(ProtocolError):  # noqa: N818
+    """A message from outside is not what it should be.
+
+    Attributes:
+        reason: one word for counting: schema, malformed, size, shape, value, images or checksum.
+    """
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason

@@ -1,0 +1,89 @@
+"""Live frames of a service, which flow only while somebody watches."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.frame import Frame, decode_frame, encode_frame
+from athrl_protocol.keys import Keys
+from athrl_protocol.session import undeclare_quietly
+
+_log = logging.getLogger(__name__)
+
+
+class FramePublisher:
+    """Puts out the frames of one service; make frames only while `watched`."""
+
+    def __init__(self, session: zenoh.Session, run: str, role: str, name: str) -> None:
+        self._watched = False
+        self._publisher = session.declare_publisher(
+            Keys(run).live(role, name), congestion_control=zenoh.CongestionControl.DROP
+        )
+        self._matching = self._publisher.declare_matching_listener(self._take)
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody watches now."""
+        return self._watched
+
+    def publish(self, frame: Frame) -> None:
+        """Send a frame if somebody watches; a watcher that is too slow misses frames."""
+        if self._watched:
+            self._publisher.put(encode_frame(frame))
+
+    def close(self) -> None:
+        """Stop publishing."""
+        undeclare_quietly(self._matching)
+        undeclare_quietly(self._publisher)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _take(self, status: zenoh.MatchingStatus) -> None:
+        self._watched = status.matching
+
+
+class FrameSubscription:
+    """Watches until it is closed; made by `subscribe_frames`."""
+
+    def __init__(self, session: zenoh.Session, key: str, on_frame: Callable[[Frame], None]) -> None:
+        self._on_frame = on_frame
+        self._subscriber = session.declare_subscriber(key, self._take)
+
+    def close(self) -> None:
+        """Stop watching."""
+        undeclare_quietly(self._subscriber)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        try:
+            frame = decode_frame(sample.payload.to_bytes())
+        except InvalidMessage as error:
+            _log.warning("%s: %s", sample.key_expr, error)
+            return
+        self._on_frame(frame)
+
+
+def subscribe_frames(
+    session: zenoh.Session, run: str, role: str, name: str, on_frame: Callable[[Frame], None]
+) -> FrameSubscription:
+    """Watch the frames of one service; `on_frame` is called with each from another thread."""
+    return FrameSubscription(session, Keys(run).live(role, name), on_frame)

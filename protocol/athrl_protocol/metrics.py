@@ -1,0 +1,99 @@
+"""Metrics: each service puts its numbers out about once a second; what nobody hears is not kept."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.keys import Keys
+from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.session import undeclare_quietly
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class MetricsReport:
+    """Numbers of one service at one time.
+
+    Attributes:
+        role: learner, actor or evaluator.
+        name: of the service.
+        time: unix seconds.
+        values: by the metric's name.
+    """
+
+    role: str
+    name: str
+    time: float
+    values: dict[str, float]
+
+
+class MetricsPublisher:
+    """Puts out the metrics of one service."""
+
+    def __init__(self, session: zenoh.Session, run: str, role: str, name: str) -> None:
+        self._role = role
+        self._name = name
+        self._publisher = session.declare_publisher(
+            Keys(run).metrics(role, name), congestion_control=zenoh.CongestionControl.DROP
+        )
+
+    def publish(self, values: Mapping[str, float]) -> None:
+        """Put out the values with the present time; never waits for a slow listener."""
+        message = athrl_pb2.Metrics(role=self._role, name=self._name, time=time.time(), values=dict(values))
+        self._publisher.put(encode_message(message))
+
+    def close(self) -> None:
+        """Stop publishing."""
+        undeclare_quietly(self._publisher)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class MetricsSubscriber:
+    """Receives the metrics of all services of a run.
+
+    Args:
+        session: an open session, which stays the caller's.
+        run: name of the run.
+        on_metrics: called with each report, from another thread.
+    """
+
+    def __init__(self, session: zenoh.Session, run: str, on_metrics: Callable[[MetricsReport], None]) -> None:
+        self._on_metrics = on_metrics
+        self._subscriber = session.declare_subscriber(Keys(run).every_metrics, self._take)
+
+    def close(self) -> None:
+        """Stop listening."""
+        undeclare_quietly(self._subscriber)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        try:
+            message = decode_message(athrl_pb2.Metrics, sample.payload.to_bytes())
+        except InvalidMessage as error:
+            _log.warning("%s: %s", sample.key_expr, error)
+            return
+        self._on_metrics(MetricsReport(message.role, message.name, message.time, dict(message.values)))

@@ -1,0 +1,220 @@
+"""The newest value of a kind: a put to everybody who is there, and a queryable for whoever comes late.
+
+Each value carries an edition: the publisher's incarnation, which grows with time, and the number of the
+value within it. A subscriber takes a value only if its edition is newer than what it has, so a delayed
+value never replaces a newer one, and a publisher that was started again from an old checkpoint is heard
+at once although its own counters went back. Should the new publisher's clock be behind the old one's, it
+is heard once the old one is seen to be gone.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import zenoh
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.keys import new_incarnation
+from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.session import undeclare_quietly
+
+_log = logging.getLogger(__name__)
+
+QUERY_SECONDS = 5.0
+RETRY_SECONDS = 0.5
+
+
+class Edition(NamedTuple):
+    """Says which of two values is newer."""
+
+    incarnation: int
+    number: int
+
+
+class NewestPublisher:
+    """Publishes values under a key and answers latecomers with the newest.
+
+    Args:
+        session: an open session, which stays the caller's.
+        key: key expression without wildcards.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._key = key
+        self._incarnation = new_incarnation()
+        self._number = 0
+        self._newest: tuple[bytes, bytes] | None = None
+        self._lock = threading.Lock()
+        self._publisher = session.declare_publisher(
+            key, congestion_control=zenoh.CongestionControl.BLOCK, reliability=zenoh.Reliability.RELIABLE
+        )
+        self._queryable = session.declare_queryable(key, self._answer, complete=True)
+
+    def publish(self, payload: bytes) -> None:
+        """Make `payload` the newest value and send it to all subscribers."""
+        with self._lock:
+            self._number += 1
+            edition = athrl_pb2.Edition(incarnation=self._incarnation, number=self._number)
+            attachment = encode_message(edition)
+            self._newest = (payload, attachment)
+            self._publisher.put(payload, attachment=attachment)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        with query:
+            newest = self._newest
+            if newest is not None:
+                payload, attachment = newest
+                query.reply(self._key, payload, attachment=attachment)
+
+    def close(self) -> None:
+        """Stop answering and sending; the value is gone with its publisher."""
+        for declared in (self._queryable, self._publisher):
+            undeclare_quietly(declared)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class NewestSubscriber:
+    """Keeps the newest value of each key that matches.
+
+    Args:
+        session: an open session, which stays the caller's.
+        key: key expression; with wildcards every matching key has a newest value of its own.
+        on_value: called with each value that is taken, from a thread of this object, in order.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, key: str, on_value: Callable[[bytes], None] | None = None
+    ) -> None:
+        self._on_value = on_value
+        self._changed = threading.Condition()
+        self._editions: dict[str, Edition] = {}
+        self._publisher_gone = False
+        self._latest: bytes | None = None
+        self._closed = threading.Event()
+        self._cancel = zenoh.CancellationToken()
+        self._subscriber = session.declare_subscriber(key, self._take)
+        self._querier = session.declare_querier(
+            key,
+            target=zenoh.QueryTarget.ALL,
+            timeout=QUERY_SECONDS,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        self._matching = self._querier.declare_matching_listener()
+        self._refresher = threading.Thread(
+            target=self._refresh_when_publisher_comes,
+            args=(self._matching.handler,),
+            name="newest",
+            daemon=True,
+        )
+        self._refresher.start()
+
+    def latest(self) -> bytes | None:
+        """Return the newest value (of whichever key changed last), or None before there is one."""
+        with self._changed:
+            return self._latest
+
+    def wait(self, timeout: float) -> bytes | None:
+        """Wait until there is a value, at most `timeout` seconds; return it or None."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._latest is not None or self._closed.is_set(), timeout)
+            return self._latest
+
+    def close(self) -> None:
+        """Stop listening; `latest` keeps what it has."""
+        self._closed.set()
+        self._cancel.cancel()
+        for declared in (self._matching, self._querier, self._subscriber):
+            undeclare_quietly(declared)
+        with self._changed:
+            self._changed.notify_all()
+        if threading.current_thread() is not self._refresher:
+            self._refresher.join(timeout=QUERY_SECONDS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """Keep a value if it is newer than the one of its key."""
+        try:
+            edition = _edition_of(sample)
+        except InvalidMessage as error:
+            _log.warning("%s: %s", sample.key_expr, error)
+            return
+        key = str(sample.key_expr)
+        payload = sample.payload.to_bytes()
+        with self._changed:
+            if self._closed.is_set() or not self._is_newer(key, edition):
+                return
+            self._editions[key] = edition
+            self._publisher_gone = False
+            self._latest = payload
+            self._changed.notify_all()
+            # Within the lock, so that two threads (put and reply) cannot hand values over in the wrong order.
+            self._hand_over(payload)
+
+    def _hand_over(self, payload: bytes) -> None:
+        if self._on_value is None:
+            return
+        try:
+            self._on_value(payload)
+        except Exception:  # must not end the thread that keeps the newest value
+            _log.exception("a value was not used")
+
+    def _is_newer(self, key: str, edition: Edition) -> bool:
+        known = self._editions.get(key)
+        if known is None or edition > known:
+            return True
+        return self._publisher_gone and edition.incarnation != known.incarnation
+
+    def _refresh_when_publisher_comes(self, matching: zenoh.handlers.Handler[zenoh.MatchingStatus]) -> None:
+        """Ask for the newest value whenever a publisher appears, until closed."""
+        while not self._closed.is_set():
+            try:
+                present = matching.recv().matching
+                while (later := matching.try_recv()) is not None:
+                    present = later.matching
+                if present:
+                    self._ask()
+                else:
+                    with self._changed:
+                        self._publisher_gone = True
+            except zenoh.ZError:  # undeclared, or the session was closed
+                return
+
+    def _ask(self) -> None:
+        """Query the publishers; once more after a failure, as long as it may help."""
+        deadline = time.monotonic() + 2 * QUERY_SECONDS
+        while not self._closed.is_set():
+            failed = False
+            for reply in self._querier.get(cancellation_token=self._cancel):
+                if reply.ok is not None:
+                    self._take(reply.ok)
+                else:
+                    failed = True
+            if not failed or time.monotonic() > deadline or self._closed.wait(RETRY_SECONDS):
+                return
+
+
+def _edition_of(sample: zenoh.Sample) -> Edition:
+    if sample.attachment is None:
+        raise InvalidMessage("malformed", "a value without an edition")
+    message = decode_message(athrl_pb2.Edition, sample.attachment.to_bytes())
+    return Edition(message.incarnation, message.number)

@@ -1,0 +1,98 @@
+"""Who is there: a liveliness token for each service, which goes when its process or its link does."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from athrl_protocol.keys import Keys, role_and_name_of
+from athrl_protocol.session import undeclare_quietly
+
+
+class Presence:
+    """A declared token; the service counts as present until it is closed or its session ends."""
+
+    def __init__(self, token: zenoh.LivelinessToken) -> None:
+        self._token = token
+
+    def close(self) -> None:
+        """Leave."""
+        undeclare_quietly(self._token)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def announce_presence(session: zenoh.Session, run: str, role: str, name: str) -> Presence:
+    """Say that the service `name` of the role (learner, actor, evaluator) is there."""
+    return Presence(session.liveliness().declare_token(Keys(run).alive(role, name)))
+
+
+class PresenceWatcher:
+    """Keeps the set of services that are present in a run; a name in it is taken.
+
+    Args:
+        session: an open session, which stays the caller's.
+        run: name of the run.
+        on_change: called with the new set after each change, from another thread.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        run: str,
+        on_change: Callable[[frozenset[tuple[str, str]]], None] | None = None,
+    ) -> None:
+        self._on_change = on_change
+        self._changed = threading.Condition()
+        self._present: frozenset[tuple[str, str]] = frozenset()
+        # With history, because a query for tokens can come back empty behind a router.
+        self._subscriber = session.liveliness().declare_subscriber(
+            Keys(run).every_alive, self._take, history=True
+        )
+
+    def present(self) -> set[tuple[str, str]]:
+        """Return (role, name) of all services that are there."""
+        with self._changed:
+            return set(self._present)
+
+    def wait_for(self, condition: Callable[[frozenset[tuple[str, str]]], bool], timeout: float) -> bool:
+        """Wait at most `timeout` seconds until the set fulfils the condition; return whether it does."""
+        with self._changed:
+            return self._changed.wait_for(lambda: condition(self._present), timeout)
+
+    def close(self) -> None:
+        """Stop watching."""
+        undeclare_quietly(self._subscriber)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """Add or remove a service; the same event may come twice."""
+        service = role_and_name_of(str(sample.key_expr))
+        with self._changed:
+            if sample.kind == zenoh.SampleKind.PUT:
+                present = self._present | {service}
+            else:
+                present = self._present - {service}
+            if present == self._present:
+                return
+            self._present = present
+            self._changed.notify_all()
+        if self._on_change is not None:
+            self._on_change(present)

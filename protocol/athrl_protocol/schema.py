@@ -1,0 +1,80 @@
+"""Version and hash of the message schemas, and the one way in which messages become bytes and back.
+
+The hash is taken over a canonical description of every message, so it is the same for every protobuf
+runtime, and two programs that were built from different schemas refuse each other by name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TypeVar
+
+from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
+from google.protobuf.message import DecodeError, Message
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.errors import InvalidMessage
+
+_Message = TypeVar("_Message", bound=Message)
+
+
+def _describe_field(field: FieldDescriptor) -> str:
+    kind = field.message_type or field.enum_type
+    type_name = kind.full_name if kind is not None else str(field.type)
+    return f"{field.number} {field.name} {type_name} {'repeated' if field.is_repeated else 'single'}"
+
+
+def _describe_enum(enum: EnumDescriptor) -> list[str]:
+    return [f"enum {enum.full_name}", *(f"{value.number} {value.name}" for value in enum.values)]
+
+
+def _describe_message(message: Descriptor) -> list[str]:
+    lines = [f"message {message.full_name}"]
+    lines += [_describe_field(field) for field in sorted(message.fields, key=lambda field: field.number)]
+    for enum in sorted(message.enum_types, key=lambda enum: enum.full_name):
+        lines += _describe_enum(enum)
+    for nested in sorted(message.nested_types, key=lambda nested: nested.full_name):
+        lines += _describe_message(nested)
+    return lines
+
+
+def _schema_hash() -> int:
+    lines: list[str] = []
+    messages = athrl_pb2.DESCRIPTOR.message_types_by_name
+    for name in sorted(messages):
+        lines += _describe_message(messages[name])
+    return int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8], "big")
+
+
+SCHEMA_VERSION: int = int(athrl_pb2.DESCRIPTOR.package.removeprefix("athrl.v"))
+SCHEMA_HASH: int = _schema_hash()
+
+
+def encode_message(message: Message) -> bytes:
+    """Stamp the schema's version and hash into `message` and return its bytes."""
+    message.schema_version = SCHEMA_VERSION  # type: ignore[attr-defined]
+    message.schema_hash = SCHEMA_HASH  # type: ignore[attr-defined]
+    return message.SerializeToString()
+
+
+def decode_message(kind: type[_Message], payload: bytes) -> _Message:
+    """Parse `payload` as a message of `kind`.
+
+    Raises:
+        InvalidMessage: it cannot be parsed, or was written with another schema.
+    """
+    message = kind()
+    name = kind.DESCRIPTOR.name
+    try:
+        message.ParseFromString(payload)
+    except DecodeError:
+        raise InvalidMessage("malformed", f"{name}: {len(payload)} bytes that are no such message") from None
+    version: int = message.schema_version  # type: ignore[attr-defined]
+    schema_hash: int = message.schema_hash  # type: ignore[attr-defined]
+    if (version, schema_hash) != (SCHEMA_VERSION, SCHEMA_HASH):
+        raise InvalidMessage(
+            "schema",
+            f"{name}: schema {version} ({schema_hash:016x}), this program has schema {SCHEMA_VERSION} "
+            f"({SCHEMA_HASH:016x}); all services of a run must be of one release",
+        )
+    return message

@@ -1,0 +1,242 @@
+"""Acknowledged upload: an actor's chunks reach the learner once each, whatever dies in between.
+
+Every chunk is a query and is held until the learner has acknowledged it. Silence means that the link or
+the learner died: everything held is sent again from the oldest on, ten times a second until somebody
+answers. At most as many queries are under way as the learner gives credits. What is held is bounded;
+when the bound is reached the actor waits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import threading
+from collections import deque
+from enum import Enum, auto
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import zenoh
+
+from athrl_protocol import athrl_pb2
+from athrl_protocol.chunk import Chunk
+from athrl_protocol.chunk_codec import encode_chunk, with_oldest_held
+from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.keys import Keys
+from athrl_protocol.schema import decode_message
+from athrl_protocol.session import undeclare_quietly
+from athrl_protocol.upload_window import UploadStatistics, UploadWindow
+
+_log = logging.getLogger(__name__)
+
+ANSWER_SECONDS = 5.0
+IDLE_SECONDS = 1.0
+SILENCE_PAUSE_SECONDS = 0.1
+SHORTEST_BUSY_PAUSE_SECONDS = 0.01
+LONGEST_BUSY_PAUSE_SECONDS = 0.1
+
+
+class _Outcome(Enum):
+    """What an answer means for the chunks that come after it."""
+
+    GO_ON = auto()
+    BUSY = auto()
+    REWIND = auto()
+    SILENCE = auto()
+
+
+class _UnderWay(NamedTuple):
+    sequence: int
+    replies: zenoh.handlers.Handler[zenoh.Reply]
+
+
+class ChunkUploader:
+    """Sends an actor's chunks from a thread of its own.
+
+    Args:
+        session: an open session, which stays the caller's.
+        run: name of the run.
+        actor: name of the actor.
+        incarnation: of this process, from `new_incarnation`; a restarted actor needs a new one.
+        capacity: chunks that are held at most.
+    """
+
+    def __init__(self, session: zenoh.Session, run: str, actor: str, incarnation: int, capacity: int) -> None:
+        self._actor = actor
+        self._incarnation = incarnation
+        self._window = UploadWindow(capacity)
+        self._changed = threading.Condition()
+        self._under_way: deque[_UnderWay] = deque()  # of the thread alone
+        self._credits = 1
+        self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
+        self._finished = False
+        self._closed = threading.Event()
+        self._cancel = zenoh.CancellationToken()
+        self._querier = session.declare_querier(
+            Keys(run).experience(actor),
+            timeout=ANSWER_SECONDS,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        self._thread = threading.Thread(target=self._send_until_closed, name="upload", daemon=True)
+        self._thread.start()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the learner said that the run is over; nothing is sent any more."""
+        return self._finished
+
+    def submit(self, chunk: Chunk, timeout: float) -> bool:
+        """Hand over a chunk; its actor, incarnation and sequence are set here.
+
+        Waits at most `timeout` seconds while the bound is reached.
+
+        Returns:
+            Whether the chunk was taken; False after the timeout, when the run is over, or when closed.
+
+        Raises:
+            InvalidMessage: the chunk itself is not valid.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: not self._window.is_full or self._is_over(), timeout)
+            if self._window.is_full or self._is_over():
+                return False
+            numbered = dataclasses.replace(
+                chunk,
+                actor=self._actor,
+                incarnation=self._incarnation,
+                sequence=self._window.next_sequence,
+                oldest_held=0,
+            )
+            self._window.add(encode_chunk(numbered))
+            self._changed.notify_all()
+            return True
+
+    def flush(self, timeout: float) -> bool:
+        """Wait at most `timeout` seconds until nothing is held; return whether that is so."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._window.is_empty or self._is_over(), timeout)
+            return self._window.is_empty
+
+    def statistics(self) -> UploadStatistics:
+        """Return the counts of chunks."""
+        with self._changed:
+            return self._window.statistics()
+
+    def close(self) -> None:
+        """Stop at once and give up what is still held; `flush` first to have it delivered."""
+        self._closed.set()
+        self._cancel.cancel()
+        with self._changed:
+            self._changed.notify_all()
+        self._thread.join(timeout=ANSWER_SECONDS)
+        undeclare_quietly(self._querier)
+        with self._changed:
+            self._window.give_up_all()
+            self._changed.notify_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _is_over(self) -> bool:
+        return self._finished or self._closed.is_set()
+
+    def _send_until_closed(self) -> None:
+        while not self._closed.is_set():
+            try:
+                self._send_what_may_go()
+                if self._under_way:
+                    self._settle(self._under_way.popleft())
+                elif self._wait_for_a_chunk():
+                    self._start_over(_Outcome.SILENCE)
+            except zenoh.ZError as error:  # the session was closed, or the network refuses
+                _log.debug("upload: %s", error)
+                self._start_over(_Outcome.SILENCE)
+
+    def _wait_for_a_chunk(self) -> bool:
+        """Wait a while for something to send; return whether all was sent and answered and yet is held."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._window.is_empty or self._closed.is_set(), IDLE_SECONDS)
+            return not self._window.is_empty and not self._window.has_unsent
+
+    def _send_what_may_go(self) -> None:
+        while len(self._under_way) < self._credits:
+            with self._changed:
+                taken = self._window.take()
+            if taken is None:
+                return
+            sequence, oldest_held, encoded = taken
+            replies = self._querier.get(
+                payload=with_oldest_held(encoded, oldest_held), cancellation_token=self._cancel
+            )
+            self._under_way.append(_UnderWay(sequence, replies))
+
+    def _settle(self, oldest: _UnderWay) -> None:
+        """Wait for the answer to the oldest query and act on it."""
+        outcome = self._outcome_of(oldest)
+        if outcome is _Outcome.GO_ON:
+            self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
+            return
+        # The later ones cannot have been stored before this one; their answers only confirm that.
+        while self._under_way:
+            self._outcome_of(self._under_way.popleft())
+        self._start_over(outcome)
+
+    def _start_over(self, outcome: _Outcome) -> None:
+        """Begin again with what is held, after a pause that fits."""
+        self._under_way.clear()
+        if outcome is not _Outcome.REWIND:
+            with self._changed:
+                self._window.rewind()
+        if outcome is _Outcome.SILENCE:
+            self._credits = 1
+            self._closed.wait(SILENCE_PAUSE_SECONDS)
+        elif outcome is _Outcome.BUSY:
+            self._closed.wait(self._busy_pause)
+            self._busy_pause = min(2 * self._busy_pause, LONGEST_BUSY_PAUSE_SECONDS)
+
+    def _outcome_of(self, query: _UnderWay) -> _Outcome:
+        """Read the answer to a query, which comes, or fails, within ANSWER_SECONDS."""
+        outcome = _Outcome.SILENCE
+        for reply in query.replies:
+            try:
+                if reply.ok is not None:
+                    outcome = self._acknowledged(reply.ok.payload.to_bytes())
+                elif reply.err is not None:
+                    outcome = self._refused(query.sequence, reply.err.payload.to_bytes())
+            except InvalidMessage as error:  # Zenoh's own time-out, or a learner of another release
+                _log.debug("upload: %s", error)
+        return outcome
+
+    def _acknowledged(self, payload: bytes) -> _Outcome:
+        message = decode_message(athrl_pb2.Acknowledgement, payload)
+        self._credits = max(1, message.credits)
+        with self._changed:
+            self._window.acknowledge(message.next_sequence)
+            self._changed.notify_all()
+        return _Outcome.GO_ON
+
+    def _refused(self, sequence: int, payload: bytes) -> _Outcome:
+        message = decode_message(athrl_pb2.Refusal, payload)
+        with self._changed:
+            if message.reason == athrl_pb2.Refusal.BUSY:
+                return _Outcome.BUSY
+            if message.reason == athrl_pb2.Refusal.EXPECTED:
+                self._window.rewind_to(message.expected_sequence)
+                return _Outcome.REWIND
+            if message.reason == athrl_pb2.Refusal.INVALID:
+                _log.warning("the learner refused chunk %d: %s", sequence, message.text)
+                self._window.give_up(sequence)
+                self._changed.notify_all()
+                return _Outcome.GO_ON
+            if message.reason == athrl_pb2.Refusal.FINISHED:
+                self._finished = True
+                self._window.give_up_all()
+                self._changed.notify_all()
+                return _Outcome.GO_ON
+        return _Outcome.SILENCE
