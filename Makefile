@@ -1,13 +1,14 @@
 # make train   installs into .venv and starts a run on this machine
 # make test    installs into .venv and runs every check and test
 #
-# PYTHON names the Python that .venv is made of; ARGS goes to `athrl train`.
+# PYTHON names the Python that .venv is made of; RUN_FILE and ARGS go to `athrl train`.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 ROOMS := protocol driving planners services/actor services/learner services/evaluator athrl
+RUN_FILE ?= town03.toml
 PYTEST_ARGS ?=
 
 .PHONY: help install train test lint format images clean
@@ -29,7 +30,7 @@ $(INSTALLED): constraints.txt requirements-dev.txt $(ROOMS:%=%/pyproject.toml)
 	@touch $@
 
 train: $(INSTALLED)
-	@$(BIN)/athrl train $(ARGS)
+	@$(BIN)/athrl train --run-file $(RUN_FILE) $(ARGS)
 
 test: lint
 	$(BIN)/pytest $(PYTEST_ARGS)

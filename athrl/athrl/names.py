@@ -1,0 +1,21 @@
+"""How services are named when nobody names them."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+
+
+def host_name() -> str:
+    """Return this host's name as a part of a key."""
+    return re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().lower()).strip("-") or "host"
+
+
+def own_name() -> str:
+    """Return a name that no other service of the run has: the host's and, if need be, the process's.
+
+    In a container the process is number 1 and the host's name tells the containers apart; it stays the same
+    when the container is started again.
+    """
+    return host_name() if os.getpid() == 1 else f"{host_name()}-{os.getpid()}"

@@ -1,0 +1,39 @@
+"""Options that several subcommands share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from athrl_protocol.run_file import RunFile
+
+DEFAULTS = RunFile()
+
+RunFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--run-file",
+        envvar="ATHRL_RUN_FILE",
+        help="TOML file with the run's settings; `athrl run-file` prints one.",
+    ),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a setting, such as learner.batch=64; ATHRL_SET holds more of them.",
+    ),
+]
+ConnectOption = Annotated[
+    str, typer.Option("--connect", envvar="ATHRL_CONNECT", metavar="ADDRESS", help="The learner's address.")
+]
+RunOption = Annotated[str, typer.Option("--run", envvar="ATHRL_RUN", metavar="RUN", help="The run's name.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def overrides(given: list[str] | None) -> list[str]:
+    """Return ATHRL_SET's settings, separated by white space, and after them those of the command line."""
+    return os.environ.get("ATHRL_SET", "").split() + list(given or [])

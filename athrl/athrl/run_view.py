@@ -1,0 +1,124 @@
+"""What can be known of a live run from outside: a client of its learner that only listens."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+from types import TracebackType
+
+import zenoh
+from athrl_protocol import (
+    EvaluationResult,
+    EvaluationSubscriber,
+    MetricsReport,
+    MetricsSubscriber,
+    PresenceWatcher,
+    RunState,
+    StateSubscriber,
+    fetch_run_file,
+    open_session,
+)
+from athrl_protocol.run_file import RunFile
+
+SILENT_SECONDS = 5.0
+"""Metrics come every second; after so long without they are old."""
+
+
+@dataclass(frozen=True)
+class RunSnapshot:
+    """A run at one moment.
+
+    `metrics` holds the newest values of each service that spoke lately, by (role, name); `evaluations` the
+    newest result of each driver; `present` the services that are there; `steps_per_second` is measured over
+    the last half minute, None at first.
+    """
+
+    settings: RunFile
+    state: RunState | None
+    metrics: dict[tuple[str, str], dict[str, float]]
+    evaluations: dict[str, EvaluationResult]
+    present: frozenset[tuple[str, str]]
+    steps_per_second: float | None = None
+
+    def of_role(self, role: str) -> dict[str, dict[str, float]]:
+        """Return the metrics of every present service of a role, by its name; empty where it is silent."""
+        return {
+            name: self.metrics.get((role, name), {}) for found, name in sorted(self.present) if found == role
+        }
+
+    def learner_metric(self, name: str) -> float | None:
+        """Return a value of the learner, None where it has not said it."""
+        for values in self.of_role("learner").values():
+            if name in values:
+                return values[name]
+        return None
+
+
+@dataclass
+class RunView:
+    """Listens to a run; `snapshot` is what is known now. Use it in `with`.
+
+    Raises on entering: LearnerNotFound, RunNotFound (`athrl_protocol`).
+    """
+
+    connect: str
+    run: str
+    timeout: float
+    stop: threading.Event | None = None
+    settings: RunFile = field(init=False)
+    _session: zenoh.Session = field(init=False)
+    _reports: dict[tuple[str, str], tuple[float, dict[str, float]]] = field(default_factory=dict, init=False)
+    _evaluations: dict[str, EvaluationResult] = field(default_factory=dict, init=False)
+    _progress: list[tuple[float, int]] = field(default_factory=list, init=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
+
+    def __enter__(self) -> RunView:
+        self._session = open_session(connect=self.connect, timeout=self.timeout, stop=self.stop)
+        try:
+            self.settings = fetch_run_file(self._session, self.run, timeout=self.timeout)
+            self._state = StateSubscriber(self._session, self.run)
+            self._metrics = MetricsSubscriber(self._session, self.run, self._on_metrics)
+            self._results = EvaluationSubscriber(self._session, self.run, self._on_evaluation)
+            self._presence = PresenceWatcher(self._session, self.run)
+        except BaseException:
+            self._session.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._session.close()
+
+    def _on_metrics(self, report: MetricsReport) -> None:
+        with self._lock:
+            self._reports[report.role, report.name] = (time.monotonic(), report.values)
+
+    def _on_evaluation(self, result: EvaluationResult) -> None:
+        with self._lock:
+            self._evaluations[result.driver] = result
+
+    def snapshot(self) -> RunSnapshot:
+        """Return what is known at this moment."""
+        now = time.monotonic()
+        state = self._state.newest()
+        with self._lock:
+            metrics = {
+                who: values for who, (at, values) in self._reports.items() if now - at <= SILENT_SECONDS
+            }
+            evaluations = dict(self._evaluations)
+            if state is not None:
+                self._progress.append((now, state.environment_steps))
+                self._progress = [(at, steps) for at, steps in self._progress if now - at <= 30.0]
+            rate = self._rate()
+        return RunSnapshot(
+            self.settings, state, metrics, evaluations, frozenset(self._presence.present()), rate
+        )
+
+    def _rate(self) -> float | None:
+        """Environment steps a second over what is remembered."""
+        if len(self._progress) < 2:
+            return None
+        (first_at, first), (last_at, last) = self._progress[0], self._progress[-1]
+        return (last - first) / (last_at - first_at) if last_at - first_at >= 2.0 else None

@@ -1,0 +1,81 @@
+"""`athrl learner`, `athrl actor`, `athrl evaluator`: one service of a run in this process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from athrl import runs
+from athrl.errors import needs
+from athrl.names import own_name
+from athrl.options import DEFAULTS, ConnectOption, RunFileOption, RunOption, SetOption, overrides
+from athrl.stopping import stop_on_signal
+
+NameOption = Annotated[
+    str | None,
+    typer.Option(
+        "--name", help="The service's name, one of its own; by default this machine's and process's."
+    ),
+]
+
+
+def learner(
+    run_file: RunFileOption = None,
+    settings: SetOption = None,
+    resume: Annotated[
+        str | None, typer.Option(metavar="RUN", help="Continue the run of this name or folder.")
+    ] = None,
+    resume_if_present: Annotated[
+        bool,
+        typer.Option(
+            "--resume-if-present", help="Continue the run when its folder holds one, else start it."
+        ),
+    ] = False,
+) -> None:
+    """Take experience in, train, publish policies; owns the run, and ends with it."""
+    given = overrides(settings)
+    folder: Path | None
+    if resume is not None:
+        run_settings, folder = runs.resumed_settings(resume, given)
+    else:
+        run_settings = runs.new_settings(run_file, given)
+        folder = runs.run_folder(run_settings)
+        if not (resume_if_present and runs.holds_run(folder)):
+            folder = None
+    # The signals are caught before the import, which takes seconds.
+    with stop_on_signal() as stop:
+        with needs("learner"):
+            from athrl_learner import run_learner
+        run_learner(run_settings, resume=folder, stop=stop)
+
+
+def actor(
+    connect: ConnectOption = DEFAULTS.network.listen,
+    run: RunOption = DEFAULTS.run.name,
+    name: NameOption = None,
+) -> None:
+    """Drive environments with the newest policy and stream what happens to the learner."""
+    with stop_on_signal() as stop:
+        with needs("actor"):
+            from athrl_actor import run_actor
+        run_actor(connect=connect, run=run, name=name or own_name(), stop=stop)
+
+
+def evaluator(
+    connect: ConnectOption = DEFAULTS.network.listen,
+    run: RunOption = DEFAULTS.run.name,
+    name: NameOption = None,
+    folder: Annotated[
+        Path,
+        typer.Option(
+            envvar="ATHRL_FOLDER", help="Folder that holds the runs' folders; results are written there."
+        ),
+    ] = Path(DEFAULTS.run.folder),
+) -> None:
+    """Score policies on fixed episodes, record them and let them be watched."""
+    with stop_on_signal() as stop:
+        with needs("evaluator"):
+            from athrl_evaluator import run_evaluator
+        run_evaluator(connect=connect, run=run, name=name or "evaluator", folder=folder, stop=stop)

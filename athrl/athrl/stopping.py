@@ -1,0 +1,76 @@
+"""How a service is asked to stop: the first signal drains it, a second one ends it at once.
+
+A service that `athrl train` started also has a pipe of its parent as standard input. When the parent goes,
+however it goes, the pipe ends and the service drains as after a first signal, but not for ever.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LIFELINE = "ATHRL_LIFELINE"
+"""Environment variable that tells a service that its standard input is its parent's lifeline."""
+
+ORPHAN_SECONDS = 30.0
+"""How long a service without its parent may take to drain."""
+
+
+@contextmanager
+def stop_on_signal(before_exit: Callable[[], None] | None = None) -> Iterator[threading.Event]:
+    """Yield an event that the first SIGINT or SIGTERM sets; the second one ends the process at once.
+
+    `before_exit` is called in between; it must not wait for anything.
+
+    The signals are read from a pipe by a thread of their own (`signal.set_wakeup_fd`): setting an event in a
+    signal handler can deadlock with the main thread waiting for that event, and a handler is not run at all
+    while the main thread is inside a long call.
+    """
+    stop = threading.Event()
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    earlier = {number: signal.signal(number, _ignore) for number in SIGNALS}
+    earlier_writer = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    threading.Thread(
+        target=_read_signals, args=(reader, stop, before_exit), name="signals", daemon=True
+    ).start()
+    if os.environ.pop(LIFELINE, None):
+        threading.Thread(target=_follow_parent, args=(stop,), name="lifeline", daemon=True).start()
+    try:
+        yield stop
+    finally:
+        signal.set_wakeup_fd(earlier_writer)
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+        os.close(writer)
+
+
+def _ignore(number: int, frame: object) -> None:
+    """Let the thread that reads the pipe deal with the signal."""
+
+
+def _read_signals(reader: int, stop: threading.Event, before_exit: Callable[[], None] | None) -> None:
+    """Set `stop` on the first signal and end the process on the second; return when the pipe is closed."""
+    with os.fdopen(reader, "rb", buffering=0) as numbers:
+        while number := numbers.read(1):
+            if number[0] not in SIGNALS:
+                continue
+            if stop.is_set():
+                if before_exit is not None:
+                    before_exit()
+                os._exit(128 + number[0])
+            stop.set()
+
+
+def _follow_parent(stop: threading.Event) -> None:
+    """Drain when the parent's end of standard input is closed, and end the whole process group in the end."""
+    while os.read(0, 4096):
+        pass
+    stop.set()
+    time.sleep(ORPHAN_SECONDS)
+    os.killpg(os.getpgrp(), signal.SIGKILL)

@@ -1,0 +1,50 @@
+"""The table at a run's end: the last policy beside the reference drivers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from athrl.errors import CommandError
+
+# Column titles, the scores they show, and how.
+_COLUMNS = (
+    ("m/s", "speed_mps", "{:.2f}"),
+    ("m", "distance_m", "{:.0f}"),
+    ("collisions", "collision_rate", "{:.0%}"),
+    ("off lane", "off_lane_rate", "{:.0%}"),
+    ("full episodes", "full_episode_rate", "{:.0%}"),
+)
+
+
+def read_comparison(folder: Path, since: float) -> dict[str, Any]:
+    """Return the closing comparison that the evaluator wrote into a run's folder.
+
+    Raises:
+        CommandError: there is none, or only one from before `since` (unix seconds).
+    """
+    file = folder / "evaluation.json"
+    try:
+        if file.stat().st_mtime >= since:
+            return dict(json.loads(file.read_text()))
+    except (OSError, ValueError):
+        pass
+    raise CommandError(f"the run is finished, but its closing comparison is missing: see {folder / 'logs'}")
+
+
+def comparison_table(comparison: dict[str, Any]) -> Table:
+    """Return a table with a row a driver; the return is shown with its 95 % interval."""
+    drivers: dict[str, dict[str, float]] = comparison["drivers"]
+    episodes = int(drivers["policy"]["episodes"])
+    table = Table(title=f"policy {comparison['policy_version']} and others, {episodes} episodes each, ± 95 %")
+    table.add_column("driver")
+    table.add_column("return", justify="right")
+    for title, _, _ in _COLUMNS:
+        table.add_column(title, justify="right")
+    for driver, scores in drivers.items():
+        cells = [form.format(scores[name]) for _, name, form in _COLUMNS]
+        table.add_row(driver, f"{scores['return_mean']:.0f} ± {scores['return_ci95']:.0f}", *cells)
+    return table

@@ -1,0 +1,107 @@
+"""One service of a run as a process: started, watched, asked to stop, ended."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from athrl.stopping import LIFELINE
+
+# Numerical libraries start a thread for every core unless told otherwise; the services share the cores.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass
+class ServiceProcess:
+    """A subcommand of `athrl` as a child process in a process group of its own.
+
+    It lives in a session of its own, so that Ctrl-C in the terminal reaches `athrl train` alone, which then
+    stops the services in order. Its standard input is a pipe that nobody writes to: it ends when this process
+    does, and the service stops (`athrl.stopping`).
+    """
+
+    name: str
+    arguments: list[str]
+    log: Path
+    niceness: int = 0
+    one_thread: bool = True
+    command: list[str] = field(default_factory=lambda: [sys.executable, "-m", "athrl"])
+    started_at: float = field(default=0.0, init=False)
+    _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+    _log_start: int = field(default=0, init=False)
+
+    def start(self, extra_arguments: list[str] | None = None) -> None:
+        """Start the process; what it says is appended to its log."""
+        environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}
+        if self.one_thread:
+            environment.update(dict.fromkeys(_ONE_THREAD, "1"))
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        with self.log.open("ab") as log:
+            self._log_start = log.tell()
+            self._process = subprocess.Popen(
+                [*self.command, *self.arguments, *(extra_arguments or [])],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                env=environment,
+                start_new_session=True,
+            )
+        self.started_at = time.monotonic()
+        if self.niceness:
+            os.setpriority(os.PRIO_PROCESS, self._process.pid, self.niceness)
+
+    @property
+    def exit_code(self) -> int | None:
+        """Exit code of the last process, negative for a signal; None while it runs or before its start."""
+        return None if self._process is None else self._process.poll()
+
+    @property
+    def running(self) -> bool:
+        """Whether the process was started and has not ended."""
+        return self._process is not None and self._process.poll() is None
+
+    def terminate(self) -> None:
+        """Ask the service to drain."""
+        if self._process is not None and self.running:
+            self._process.terminate()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait at most so long for the process to end; return whether it has."""
+        if self._process is None:
+            return True
+        try:
+            self._process.wait(timeout=max(seconds, 0.0))
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def kill(self) -> None:
+        """End the process and whatever it started, without waiting."""
+        if self._process is not None:
+            with contextlib.suppress(ProcessLookupError):  # the group is gone with its last process
+                os.killpg(self._process.pid, signal.SIGKILL)
+
+    def end(self) -> None:
+        """End the process and whatever it started, and wait for it."""
+        if self._process is None:
+            return
+        self.kill()
+        self._process.wait(timeout=10)
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+    def last_lines(self, count: int = 5) -> list[str]:
+        """Return the last lines that the newest process wrote."""
+        try:
+            with self.log.open("rb") as log:
+                log.seek(self._log_start)
+                text = log.read().decode(errors="replace")
+        except OSError:
+            return []
+        return [line for line in text.splitlines() if line.strip()][-count:]

@@ -1,0 +1,130 @@
+"""The course of a run on this machine: start, watch, closing comparison, or drain."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack
+
+from athrl_protocol import LearnerNotFound, Phase
+
+from athrl.errors import CommandError
+from athrl.run_view import RunSnapshot, RunView
+from athrl.train.display import Display
+from athrl.train.plan import Plan, is_free
+from athrl.train.supervisor import Supervisor
+
+START_SECONDS = 120.0
+"""How long the learner may take until it answers."""
+GLANCE_SECONDS = 0.5
+DRAIN_SECONDS = 20.0
+CHECKPOINT_SECONDS = 60.0
+COMPARISON_SECONDS = 1800.0
+"""How long the evaluator may go on after the learner has left."""
+
+
+class TrainingSession:
+    """One run: its services under a supervisor, shown by a display."""
+
+    def __init__(
+        self, plan: Plan, supervisor: Supervisor, display: Display, actor_count: int, viewer_port: int
+    ) -> None:
+        self._plan = plan
+        self._supervisor = supervisor
+        self._display = display
+        self._learner = plan.learner()
+        self._actors = [plan.actor(number) for number in range(1, actor_count + 1)]
+        self._evaluator = plan.evaluator()
+        self._viewer_port = viewer_port
+        self._comparison_until = 0.0
+        self._where_to_look = [f"run folder {plan.folder}, what each process says in {plan.folder / 'logs'}"]
+
+    def run(self, stop: threading.Event) -> bool:
+        """Go through the run; return whether it finished rather than was stopped.
+
+        No service is left running when this returns or raises.
+
+        Raises:
+            ServiceDied: a service could not be kept alive.
+            CommandError: the learner never answered.
+        """
+        try:
+            return self._run(stop)
+        finally:
+            self._supervisor.end()
+
+    def _run(self, stop: threading.Event) -> bool:
+        self._display.say(f"run {self._plan.settings.run.name} in {self._plan.folder}: starting the learner")
+        self._supervisor.start(self._learner)
+        with ExitStack() as stack:
+            view = self._open_view(stop, stack)
+            if view is None:
+                self._drain()
+                return False
+            self._start_others()
+            while not self._over(view.snapshot()):
+                if stop.wait(GLANCE_SECONDS):
+                    self._drain()
+                    return False
+                self._supervisor.check()
+                self._display.show(view.snapshot(), self._where_to_look)
+            return not self._stopped_early(view.snapshot())
+
+    def _open_view(self, stop: threading.Event, stack: ExitStack) -> RunView | None:
+        """Wait until the learner answers and return a view of the run; None when asked to stop before."""
+        deadline = time.monotonic() + START_SECONDS
+        while not stop.is_set():
+            self._supervisor.check()
+            try:
+                return stack.enter_context(
+                    RunView(self._plan.address, self._plan.settings.run.name, timeout=1.0, stop=stop)
+                )
+            except LearnerNotFound:
+                if time.monotonic() > deadline:
+                    log = self._learner.process.log
+                    raise CommandError(
+                        f"the learner did not answer within {START_SECONDS:.0f} s: see {log}"
+                    ) from None
+        return None
+
+    def _start_others(self) -> None:
+        for service in [*self._actors, self._evaluator]:
+            self._supervisor.start(service)
+        self._where_to_look += self._start_viewer()
+        for line in self._where_to_look:
+            self._display.say(line)
+
+    def _start_viewer(self) -> list[str]:
+        """Start the bridge to rerun where its port is free; return how to watch."""
+        name, address = self._plan.settings.run.name, self._plan.address
+        by_command = f"athrl watch --connect {address} --run {name}"
+        if self._viewer_port == 0:
+            return [f"to watch: {by_command}"]
+        if not is_free(self._viewer_port):
+            return [
+                f"port {self._viewer_port} is in use, so no viewer is served there; to watch: {by_command}"
+            ]
+        self._supervisor.start(self._plan.viewer(self._viewer_port))
+        return [f"to watch: rerun rerun+http://127.0.0.1:{self._viewer_port}/proxy, or {by_command}"]
+
+    def _over(self, snapshot: RunSnapshot) -> bool:
+        """Return whether learner and evaluator are done, and see the actors off when the learner is."""
+        if not self._learner.finished:
+            return False
+        self._supervisor.stop(self._actors, DRAIN_SECONDS)
+        if self._stopped_early(snapshot):
+            return True
+        self._comparison_until = self._comparison_until or time.monotonic() + COMPARISON_SECONDS
+        return self._evaluator.finished or time.monotonic() > self._comparison_until
+
+    @staticmethod
+    def _stopped_early(snapshot: RunSnapshot) -> bool:
+        """Return whether somebody else asked the learner to drain before the run's end."""
+        return snapshot.state is not None and snapshot.state.phase is Phase.DRAINING
+
+    def _drain(self) -> None:
+        """Stop everybody in order: the learner last, so that it takes in what the others still have."""
+        self._display.say("stopping; once more stops at once")
+        others = [service for service in self._supervisor.services if service is not self._learner]
+        self._supervisor.stop(others, DRAIN_SECONDS)
+        self._supervisor.stop([self._learner], CHECKPOINT_SECONDS)

@@ -1,0 +1,70 @@
+"""The first signal asks, the second one ends, and a parent that is gone counts as the first."""
+
+import os
+import signal
+import subprocess
+import sys
+
+from athrl.stopping import LIFELINE
+
+SERVICE = """
+import sys
+from athrl.stopping import stop_on_signal
+with stop_on_signal() as stop:
+    print("ready", flush=True)
+    assert stop.wait(60)
+    print("draining", flush=True)
+    if sys.argv[1:] == ["hang"]:
+        import time
+        time.sleep(600)
+print("drained", flush=True)
+"""
+
+
+def start(*arguments: str, lifeline: bool = False) -> subprocess.Popen[str]:
+    environment = {**os.environ, **({LIFELINE: "1"} if lifeline else {})}
+    process = subprocess.Popen(
+        [sys.executable, "-c", SERVICE, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def test_first_signal_drains() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        process = start()
+        process.send_signal(number)
+        assert process.communicate(timeout=60)[0] == "draining\ndrained\n"
+        assert process.returncode == 0
+
+
+def test_second_signal_ends_at_once() -> None:
+    process = start("hang")
+    assert process.stdout is not None
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == "draining\n"
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=30) == 128 + signal.SIGTERM
+    process.communicate()
+
+
+def test_parent_that_is_gone_drains_the_service() -> None:
+    process = start(lifeline=True)
+    assert process.communicate(timeout=60)[0] == "draining\ndrained\n"
+    assert process.returncode == 0
+
+
+def test_standard_input_means_nothing_to_a_service_without_parent() -> None:
+    process = start()
+    assert process.stdin is not None
+    process.stdin.close()
+    process.stdin = None
+    assert process.poll() is None
+    process.terminate()
+    assert process.communicate(timeout=60)[0] == "draining\ndrained\n"

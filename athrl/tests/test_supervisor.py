@@ -1,0 +1,97 @@
+"""A dead service is started again as often as it may be, and taken down with the rest after that."""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from athrl.train.process import ServiceProcess
+from athrl.train.supervisor import Service, ServiceDied, Supervisor
+
+
+def service(tmp_path: Path, script: str, **settings: object) -> Service:
+    """A service that runs a Python script in place of a subcommand."""
+    process = ServiceProcess("one", [], tmp_path / "logs" / "one.log")
+    process.command = [sys.executable, "-c", script]
+    return Service(process, **{"restarts": 0, **settings})  # type: ignore[arg-type]
+
+
+def watch(supervisor: Supervisor, until: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not until():
+        assert time.monotonic() < deadline
+        supervisor.check()
+        time.sleep(0.02)
+
+
+def test_service_that_ends_well_is_not_started_again(tmp_path: Path) -> None:
+    supervisor = Supervisor(lambda line: None)
+    one = service(tmp_path, "pass", restarts=3)
+    supervisor.start(one)
+    watch(supervisor, lambda: one.finished)
+    assert one.deaths == 0
+
+
+def test_dead_service_is_started_again_with_its_restart_arguments(tmp_path: Path) -> None:
+    said: list[str] = []
+    supervisor = Supervisor(said.append)
+    one = service(tmp_path, "import sys; sys.exit(0 if 'again' in sys.argv else 1)", restarts=1)
+    one.restart_arguments = ["again"]
+    supervisor.start(one)
+    watch(supervisor, lambda: one.finished)
+    assert one.deaths == 1
+    assert "one ended with code 1" in said[0]
+
+
+def test_service_that_dies_too_often_is_reported_with_its_last_words(tmp_path: Path) -> None:
+    supervisor = Supervisor(lambda line: None)
+    supervisor.start(service(tmp_path, "raise SystemExit('no more disk')"))
+    with pytest.raises(ServiceDied, match="no more disk"):
+        watch(supervisor, lambda: False)
+
+
+def test_final_error_is_not_tried_again_and_told_in_its_own_words(tmp_path: Path) -> None:
+    supervisor = Supervisor(lambda line: None)
+    script = "import sys; print('athrl: port 7 is in use', file=sys.stderr); sys.exit(2)"
+    supervisor.start(service(tmp_path, script, restarts=3, errors_are_final=True))
+    with pytest.raises(ServiceDied, match=r"^port 7 is in use$"):
+        watch(supervisor, lambda: False)
+
+
+def test_optional_service_is_left_dead(tmp_path: Path) -> None:
+    said: list[str] = []
+    supervisor = Supervisor(said.append)
+    one = service(tmp_path, "raise SystemExit('no viewer')", optional=True)
+    supervisor.start(one)
+    watch(supervisor, lambda: one.finished)
+    assert "no viewer" in said[0]
+
+
+def test_service_that_does_not_drain_is_ended_with_what_it_started(tmp_path: Path) -> None:
+    said: list[str] = []
+    supervisor = Supervisor(said.append)
+    script = (
+        "import signal, subprocess, sys, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']); "
+        "print(child.pid, flush=True); time.sleep(600)"
+    )
+    one = service(tmp_path, script)
+    supervisor.start(one)
+    watch(supervisor, lambda: bool(one.process.last_lines()))
+    child = int(one.process.last_lines()[0])
+    supervisor.stop([one], 0.2)
+    assert not one.process.running
+    assert "did not drain" in said[0]
+    deadline = time.monotonic() + 10
+    while running(child):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def running(pid: int) -> bool:
+    """Whether a process runs; one that waits to be reaped does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

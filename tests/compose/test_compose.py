@@ -1,0 +1,162 @@
+"""The run as containers: it grows, a killed actor comes back, and nothing is left of it.
+
+Needs a Docker engine, the Compose tool and the images (`make images`). The run is looked at with what a user
+has: `athrl status --json` at the learner's published port, and Docker.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROJECT = "athrl-compose-check"
+RUN = "check"
+# A run that is long enough to be watched and small enough for two cores; it is taken down before its end.
+SETTINGS = {
+    "run.environment_steps": 100_000,
+    "environment.vehicles": 20,
+    "environment.episode_ticks": 120,
+    "exploration.random_decisions": 200,
+    "planner.hidden_features": 32,
+    "planner.recurrent_features": 16,
+    "replay.capacity": 5000,
+    "learner.batch": 8,
+    "learner.samples_per_insert": 4.0,
+    "actor.environments": 4,
+    "evaluator.episodes": 2,
+    "evaluator.seconds_between": 5.0,
+}
+
+pytestmark = pytest.mark.timeout(1200)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass
+class Containers:
+    """The project's containers, driven by the Compose tool that is there."""
+
+    compose: list[str]
+    environment: dict[str, str]
+    port: int
+
+    def run(self, *arguments: str, seconds: float) -> str:
+        result = subprocess.run(
+            [*self.compose, "--project-name", PROJECT, *arguments],
+            cwd=ROOT,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=seconds,
+        )
+        assert result.returncode == 0, f"{arguments}: {result.stdout}\n{result.stderr}"
+        return result.stdout
+
+    def of(self, service: str) -> list[str]:
+        """Return the ids of a service's containers."""
+        return self.run("ps", "-q", service, seconds=60).split()
+
+    def status(self) -> dict[str, Any]:
+        """Return what `athrl status --json` says; empty while the learner cannot be reached."""
+        address = f"tcp/127.0.0.1:{self.port}"
+        result = subprocess.run(
+            [sys.executable, "-m", "athrl", "status", "--connect", address, "--run", RUN, "--json"],
+            capture_output=True,
+            text=True,
+            timeout=90,
+        )
+        return json.loads(result.stdout) if result.returncode == 0 else {}
+
+
+def inspect(container: str) -> dict[str, Any]:
+    output = subprocess.run(
+        ["docker", "inspect", container], capture_output=True, text=True, timeout=60, check=True
+    ).stdout
+    return json.loads(output)[0]
+
+
+def wait(what: str, condition: Callable[[], object], seconds: float) -> None:
+    """Wait until a condition holds, and say for what."""
+    print(f"waiting for {what}", flush=True)
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"{what}: not within {seconds:.0f} s"
+        time.sleep(2)
+
+
+def compose_command() -> list[str]:
+    """Return Compose 2 where it is there, else Compose 1."""
+    for command in (["docker", "compose"], ["docker-compose"]):
+        try:
+            if subprocess.run([*command, "version"], capture_output=True, timeout=60).returncode == 0:
+                return command
+        except FileNotFoundError:
+            continue
+    pytest.fail("neither docker compose nor docker-compose is installed")
+
+
+@pytest.fixture
+def containers() -> Iterator[Containers]:
+    """Bring the run up with two actors and, whatever happens, take it down again with its volume."""
+    port = free_port()
+    environment = {
+        **os.environ,
+        "ATHRL_RUN": RUN,
+        "ATHRL_SET": " ".join(f"{key}={value}" for key, value in SETTINGS.items()),
+        "ATHRL_PORT": str(port),
+        "ATHRL_VIEWER_PORT": str(free_port()),
+    }
+    containers = Containers(compose_command(), environment, port)
+    containers.run("down", "--volumes", "--timeout", "10", seconds=300)
+    try:
+        containers.run("up", "--detach", "--no-build", "--scale", "actor=2", seconds=300)
+        yield containers
+    finally:
+        print(containers.run("logs", "--tail", "20", "--no-color", seconds=60))
+        containers.run("down", "--volumes", "--timeout", "10", seconds=300)
+
+
+def test_run_grows_and_killed_actor_is_heard_again(containers: Containers) -> None:
+    wait("two actors", lambda: len(containers.status().get("actors", [])) == 2, 300)
+    wait("the first updates", lambda: containers.status().get("updates", 0) > 0, 300)
+    updates = containers.status()["updates"]
+    wait("more updates", lambda: containers.status().get("updates", 0) > updates, 120)
+    wait("a first score", lambda: containers.status().get("evaluation"), 300)
+
+    actor = containers.of("actor")[0]
+    name = inspect(actor)["Config"]["Hostname"]
+    before = inspect(actor)
+    os.kill(before["State"]["Pid"], signal.SIGKILL)
+    wait(
+        "the killed actor's container to run again",
+        lambda: (
+            inspect(actor)["State"]["Running"] and inspect(actor)["RestartCount"] > before["RestartCount"]
+        ),
+        120,
+    )
+
+    def steps_of_restarted() -> float:
+        return containers.status().get("actors", {}).get(name, {}).get("steps", 0)
+
+    # TODO
+    wait("the actor to be seen", lambda: name in containers.status().get("actors", {}), 180)
+
+
+def test_nothing_is_left_and_the_run_goes_on(containers: Containers) -> None:
+    pass

@@ -1,0 +1,142 @@
+"""What tests across services share: the command as a user runs it, with nothing of it left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+import pytest
+
+MARK = "ATHRL_TEST"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--compose", action="store_true", help="run the tests that build on containers")
+
+
+@dataclass
+class Command:
+    """Runs `athrl` in a folder; every process carries a mark by which it is found however it was started."""
+
+    folder: Path
+    mark: str = field(default_factory=lambda: uuid.uuid4().hex)
+    started: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    def environment(self) -> dict[str, str]:
+        return {**os.environ, MARK: self.mark, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+
+    def run(self, *arguments: str, seconds: float) -> subprocess.CompletedProcess[str]:
+        """Run the command to its end, which must come within so many seconds."""
+        return subprocess.run(
+            [sys.executable, "-m", "athrl", *arguments],
+            cwd=self.folder,
+            env=self.environment(),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=seconds,
+        )
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Start the command with its output in a file of the folder, which `said` reads."""
+        log = self.folder / f"{len(self.started)}-{arguments[0]}.log"
+        with log.open("w") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "athrl", *arguments],
+                cwd=self.folder,
+                env=self.environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+        process.log = log  # type: ignore[attr-defined]
+        self.started.append(process)
+        return process
+
+    def said(self, process: subprocess.Popen[str]) -> str:
+        """Return what a started process has written so far."""
+        return process.log.read_text()  # type: ignore[attr-defined]
+
+    def left(self) -> list[psutil.Process]:
+        """Return the processes that carry this test's mark and live."""
+        found = []
+        for process in psutil.process_iter():
+            try:
+                if process.status() != psutil.STATUS_ZOMBIE and process.environ().get(MARK) == self.mark:
+                    found.append(process)
+            except psutil.Error:
+                continue
+        return [process for process in found if process.pid != os.getpid()]
+
+    def end_all(self) -> None:
+        """End whatever carries the mark."""
+        for process in self.left():
+            try:
+                process.send_signal(signal.SIGKILL)
+            except psutil.Error:
+                continue
+        for started in self.started:
+            started.wait(timeout=10)
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> Iterator[Command]:
+    """The command in an empty folder; what it leaves running is ended after the test."""
+    command = Command(tmp_path)
+    yield command
+    command.end_all()
+
+
+@pytest.fixture
+def port() -> int:
+    """A port of the loopback interface that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def tiny(port: int) -> list[str]:
+    """Settings of a run that lasts seconds."""
+    settings = {
+        "run.environment_steps": 800,
+        "environment.vehicles": 10,
+        "environment.episode_ticks": 120,
+        "exploration.random_decisions": 100,
+        "planner.hidden_features": 16,
+        "planner.recurrent_features": 8,
+        "replay.capacity": 2000,
+        "learner.batch": 4,
+        "learner.samples_per_insert": 4.0,
+        "learner.publish_seconds": 0.5,
+        "learner.checkpoint_seconds": 2.0,
+        "actor.environments": 2,
+        "evaluator.episodes": 2,
+        "evaluator.final_episodes": 2,
+        "evaluator.seconds_between": 1.0,
+        "network.listen": f"tcp/127.0.0.1:{port}",
+    }
+    return [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+
+
+@pytest.fixture
+def eventually() -> Callable[[Callable[[], object], float], None]:
+    """Wait until a condition holds, at most so many seconds."""
+
+    def wait(condition: Callable[[], object], seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, f"not within {seconds} s"
+            time.sleep(0.1)
+
+    return wait

@@ -1,0 +1,86 @@
+"""Wrong inputs end in one line that says what to do, an exit code that is not 0, and soon."""
+
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SECONDS = 60.0
+"""A machine at work with other things needs that long; by itself each takes two or three seconds."""
+
+
+def assert_one_line(result: subprocess.CompletedProcess[str], *words: str) -> None:
+    lines = result.stderr.splitlines()
+    assert result.returncode not in (0, None)
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("athrl: ")
+    for word in words:
+        assert word in lines[0], lines[0]
+
+
+def test_unknown_key_is_named_and_the_near_one_suggested(command, tmp_path: Path) -> None:
+    (tmp_path / "my.toml").write_text("[learner]\nbatsch = 3\n")
+    result = command.run("train", "--run-file", "my.toml", seconds=SECONDS)
+    assert_one_line(result, "learner.batsch", "batch")
+
+
+def test_unknown_override_is_named(command) -> None:
+    assert_one_line(command.run("train", "--set", "learner.bach=3", seconds=SECONDS), "learner.bach", "batch")
+
+
+def test_wrong_value_is_named_with_what_is_expected(command) -> None:
+    assert_one_line(
+        command.run("train", "--set", "learner.batch=none", seconds=SECONDS), "learner.batch", "none"
+    )
+
+
+def test_missing_run_file_is_named(command) -> None:
+    assert_one_line(command.run("train", "--run-file", "nowhere.toml", seconds=SECONDS), "nowhere.toml")
+
+
+def test_policy_file_that_is_none_is_named(command, tmp_path: Path) -> None:
+    (tmp_path / "policy.onnx").write_bytes(b"not a policy at all")
+    result = command.run("evaluate", "--policy", "policy.onnx", "--episodes", "2", "--json", seconds=SECONDS)
+    assert_one_line(result, "policy.onnx")
+    assert result.stdout == ""
+
+
+def test_policy_file_that_is_missing_is_named(command) -> None:
+    result = command.run("evaluate", "--policy", "gone.onnx", "--episodes", "2", "--json", seconds=SECONDS)
+    assert_one_line(result, "gone.onnx", "random")
+
+
+def test_run_that_cannot_be_resumed_is_named(command) -> None:
+    assert_one_line(command.run("train", "--resume", "yesterday", seconds=SECONDS), "yesterday")
+
+
+def test_port_in_use_is_named(command, tiny: list[str], port: int) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", port))
+        other.listen()
+        assert_one_line(command.run("train", *tiny, seconds=SECONDS), str(port))
+        assert_one_line(command.run("learner", *tiny, seconds=SECONDS), str(port))
+
+
+@pytest.mark.parametrize("service", ["actor", "evaluator", "status", "watch"])
+def test_learner_that_never_comes_is_named(command, port: int, service: str) -> None:
+    arguments = ["--connect", f"tcp/127.0.0.1:{port}", "--run", "town03"]
+    assert_one_line(command.run(service, *arguments, seconds=SECONDS), str(port))
+
+
+@pytest.mark.parametrize("service", ["actor", "evaluator", "status", "watch"])
+def test_run_that_does_not_exist_is_named_with_those_that_do(
+    command, eventually, tiny: list[str], port: int, service: str
+) -> None:
+    learner = command.start("learner", *tiny, "--set", "run.name=here")
+    arguments = ["--connect", f"tcp/127.0.0.1:{port}"]
+    eventually(
+        lambda: command.run("status", *arguments, "--run", "here", seconds=SECONDS).returncode == 0, SECONDS
+    )
+    assert_one_line(
+        command.run(service, *arguments, "--run", "elsewhere", seconds=SECONDS), "elsewhere", "here"
+    )
+    assert learner.poll() is None
+    learner.terminate()
+    learner.wait(timeout=SECONDS)
