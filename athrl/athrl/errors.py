@@ -11,6 +11,7 @@ from contextlib import contextmanager
 _EXPECTED = (
     ("athrl_protocol", "ProtocolError"),
     ("athrl_driving.policy", "InvalidPolicy"),
+    ("athrl_learner", "LearnerError"),
 )
 
 EXPECTED_ERROR = 2
