@@ -5,8 +5,8 @@ import math
 from numba import njit
 
 from athrl_driving.maps.geometry import lane_project
-from athrl_driving.maps.lane_graph import Floats, Integers
-from athrl_driving.traffic.state import Traffic
+from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
+from athrl_driving.traffic.state import EgoOnLanes
 
 ON_THE_LINE = 1.5
 """Metres beyond a stop line that do not count as being in the junction."""
@@ -15,10 +15,9 @@ _ALONG = 0.5
 _LOCATED_WITHIN = 12
 
 
-@njit(cache=True, nogil=True)
-def forget_ego(traffic: Traffic) -> None:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def forget_ego(covered: EgoOnLanes) -> None:
     """Take the ego off all lanes."""
-    covered = traffic.ego_on_lanes
     for index in range(covered.counts[0]):
         lane = covered.lanes[index]
         covered.rear[lane] = math.inf
@@ -29,11 +28,10 @@ def forget_ego(traffic: Traffic) -> None:
     covered.counts[1] = 0
 
 
-@njit(cache=True, nogil=True)
-def cover_lanes(traffic: Traffic, ego: Floats) -> None:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def cover_lanes(graph: LaneGraph, covered: EgoOnLanes, ego: Floats) -> None:
     """Note what the ego covers. `ego` is x, y, heading, speed, length, width."""
-    graph, covered = traffic.graph, traffic.ego_on_lanes
-    forget_ego(traffic)
+    forget_ego(covered)
     reach = 0.5 * math.hypot(ego[4], ego[5])
     for lane in range(graph.length.shape[0]):
         box = graph.box[lane]
@@ -44,7 +42,7 @@ def cover_lanes(traffic: Traffic, ego: Floats) -> None:
             or ego[1] - reach > box[3]
         ):
             continue
-        _cover_lane(traffic, ego, lane)
+        _cover_lane(graph, covered, ego, lane)
     for index in range(covered.counts[0]):
         lane = covered.lanes[index]
         movement = graph.movement[lane]
@@ -58,10 +56,9 @@ def cover_lanes(traffic: Traffic, ego: Floats) -> None:
         covered.blocks[movement] = max(covered.blocks[movement], 2 if math.cos(angle) > _ALONG else 1)
 
 
-@njit(cache=True, nogil=True)
-def _cover_lane(traffic: Traffic, ego: Floats, lane: int) -> None:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def _cover_lane(graph: LaneGraph, covered: EgoOnLanes, ego: Floats, lane: int) -> None:
     """Project points round the body, at most about 1 m apart, on one lane."""
-    graph, covered = traffic.graph, traffic.ego_on_lanes
     cos, sin = math.cos(ego[2]), math.sin(ego[2])
     rear, front = math.inf, -math.inf
     for row in range(-1, 2):
@@ -81,10 +78,9 @@ def _cover_lane(traffic: Traffic, ego: Floats, lane: int) -> None:
         covered.speed[lane] = ego[3] * math.cos(angle)
 
 
-@njit(cache=True, nogil=True)
-def locate_on_path(traffic: Traffic, ego: Floats, path: Integers) -> tuple[int, float]:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def locate_on_path(graph: LaneGraph, ego: Floats, path: Integers) -> tuple[int, float]:
     """Return (place in the path, m along that lane) of the ego; place -1 where it is off the path."""
-    graph = traffic.graph
     best_place, best_s, best = -1, 0.0, math.inf
     for place in range(min(path.shape[0], _LOCATED_WITHIN)):
         lane = path[place]

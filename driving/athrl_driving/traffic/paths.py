@@ -8,7 +8,7 @@ from athrl_driving.traffic.state import PATH_LENGTH, Background
 _INCREMENT = 0x9E3779B97F4A7C15
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
 def random_below(background: Background, vehicle: int, bound: int) -> int:
     """Return the vehicle's next random number in 0..bound-1 (splitmix64)."""
     state = background.random_state[vehicle] + uint64(_INCREMENT)
@@ -20,7 +20,7 @@ def random_below(background: Background, vehicle: int, bound: int) -> int:
     return int((state >> uint64(33)) % uint64(bound))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
 def random_successor(graph: LaneGraph, background: Background, vehicle: int, lane: int) -> int:
     """Return one of the lanes after `lane`, drawn by the vehicle."""
     start = graph.successor_start[lane]
@@ -30,7 +30,7 @@ def random_successor(graph: LaneGraph, background: Background, vehicle: int, lan
     return graph.successor[start + random_below(background, vehicle, count)]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
 def plan_from(graph: LaneGraph, background: Background, vehicle: int, first: int) -> None:
     """Draw the vehicle's path anew from place `first` of it on; the places before stay."""
     path = background.path
@@ -38,7 +38,7 @@ def plan_from(graph: LaneGraph, background: Background, vehicle: int, first: int
         path[vehicle, place] = random_successor(graph, background, vehicle, path[vehicle, place - 1])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
 def drop_first(graph: LaneGraph, background: Background, vehicle: int) -> None:
     """Move the path on by one lane."""
     path = background.path

@@ -12,8 +12,9 @@ import math
 
 from numba import njit
 
+from athrl_driving.maps.lane_graph import LaneGraph, Movements
 from athrl_driving.traffic.paths import plan_from
-from athrl_driving.traffic.state import NOBODY, PATH_LENGTH, Traffic
+from athrl_driving.traffic.state import NOBODY, PATH_LENGTH, Background, EgoOnLanes, RightOfWay, Scratch
 
 SLOT = 10.0
 """Metres of road that a standing vehicle needs behind a junction: its length and the gap to the next."""
@@ -36,87 +37,95 @@ LINE_BRAKING = 2.0
 _ROOM_LOOK_AHEAD = 45.0
 
 
-@njit(cache=True, nogil=True)
-def count_holders(traffic: Traffic) -> None:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def count_holders(
+    graph: LaneGraph, movements: Movements, background: Background, right_of_way: RightOfWay
+) -> None:
     """Count who holds each movement and who is on the way to each exit."""
-    right_of_way, movements = traffic.right_of_way, traffic.movements
-    right_of_way.holders[:] = 0
-    right_of_way.inbound[:] = 0
+    holders, inbound, exits = right_of_way.holders, right_of_way.inbound, movements.exit
+    granted, crossing = right_of_way.granted, right_of_way.crossing
+    holders[:] = 0
+    inbound[:] = 0
     right_of_way.claimed[:] = False
-    vehicles = traffic.background.lane.shape[0]
+    vehicles = background.lane.shape[0]
     for row in range(vehicles + 1):
-        granted, crossing = right_of_way.granted[row], right_of_way.crossing[row]
-        if granted >= 0:
-            right_of_way.holders[granted] += 1
-            right_of_way.inbound[movements.exit[granted]] += 1
-        if crossing >= 0:
-            right_of_way.holders[crossing] += 1
-            if row == vehicles or traffic.graph.movement[traffic.background.lane[row]] == crossing:
-                right_of_way.inbound[movements.exit[crossing]] += 1
+        if granted[row] >= 0:
+            holders[granted[row]] += 1
+            inbound[exits[granted[row]]] += 1
+        if crossing[row] >= 0:
+            holders[crossing[row]] += 1
+            if row == vehicles or graph.movement[background.lane[row]] == crossing[row]:
+                inbound[exits[crossing[row]]] += 1
 
 
-@njit(cache=True, nogil=True)
-def ask(traffic: Traffic, row: int, speed: float) -> None:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def ask(right_of_way: RightOfWay, scratch: Scratch, row: int, speed: float) -> None:
     """Let a vehicle that has looked ahead ask for its next movement, keep it, or give it back."""
-    right_of_way, now = traffic.right_of_way, traffic.scratch.clock[0]
+    now = scratch.clock[0]
     ahead, line = right_of_way.ahead[row], right_of_way.line_distance[row]
     if right_of_way.granted[row] != NOBODY:
         idle = speed < 0.1 and line > 0.0 and now - right_of_way.granted_at[row] > GIVE_BACK_AFTER
         if idle or right_of_way.granted[row] != ahead:
             right_of_way.granted[row] = NOBODY
-    asks = ahead != NOBODY and right_of_way.granted[row] == NOBODY and not traffic.scratch.held_up[row]
+    asks = ahead != NOBODY and right_of_way.granted[row] == NOBODY and not scratch.held_up[row]
     if not asks or line > speed * speed / (2.0 * LINE_BRAKING) + ASK_MARGIN:
         right_of_way.waiting_since[row] = math.inf
     elif right_of_way.waiting_since[row] == math.inf:
         right_of_way.waiting_since[row] = now
 
 
-@njit(cache=True, nogil=True)
-def serve(traffic: Traffic) -> None:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def serve(
+    graph: LaneGraph,
+    movements: Movements,
+    background: Background,
+    right_of_way: RightOfWay,
+    covered: EgoOnLanes,
+    scratch: Scratch,
+) -> None:
     """Grant what can be granted, in order of waiting."""
-    right_of_way, movements = traffic.right_of_way, traffic.movements
-    ego_row = traffic.background.lane.shape[0]
-    for index in range(_queue(traffic)):
-        row = traffic.scratch.order[index]
+    ego_row = background.lane.shape[0]
+    for index in range(_queue(movements, right_of_way, scratch)):
+        row = scratch.order[index]
         movement = right_of_way.ahead[row]
-        if not _is_free(traffic, movement, row == ego_row):
-            if not _is_second(traffic, row):
+        if not _is_free(movements, right_of_way, covered, movement, row == ego_row):
+            if not _is_second(movements, right_of_way, scratch, row):
                 right_of_way.claimed[movement] = True
             continue
-        if not _has_room(traffic, movement):
-            _take_another_way(traffic, row)
+        if not _has_room(graph, movements, background, right_of_way, covered, scratch, movement):
+            if row != ego_row and scratch.clock[0] - right_of_way.waiting_since[row] > DETOUR_AFTER:
+                _take_another_way(graph, background, row, movement)
             continue
         right_of_way.granted[row] = movement
-        right_of_way.granted_at[row] = traffic.scratch.clock[0]
+        right_of_way.granted_at[row] = scratch.clock[0]
         right_of_way.waiting_since[row] = math.inf
         right_of_way.holders[movement] += 1
         right_of_way.inbound[movements.exit[movement]] += 1
 
 
-@njit(cache=True, nogil=True)
-def _is_second(traffic: Traffic, row: int) -> bool:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def _is_second(movements: Movements, right_of_way: RightOfWay, scratch: Scratch, row: int) -> bool:
     """Tell whether a vehicle at an entry still has to let the ring go first."""
-    right_of_way = traffic.right_of_way
-    waited = traffic.scratch.clock[0] - right_of_way.waiting_since[row]
-    return traffic.movements.yields[right_of_way.ahead[row]] and waited < PATIENCE
+    waited = scratch.clock[0] - right_of_way.waiting_since[row]
+    return movements.yields[right_of_way.ahead[row]] and waited < PATIENCE
 
 
-@njit(cache=True, nogil=True)
-def _queue(traffic: Traffic) -> int:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def _queue(movements: Movements, right_of_way: RightOfWay, scratch: Scratch) -> int:
     """Sort who asks: entries last, then by waiting; return how many there are."""
-    right_of_way, order = traffic.right_of_way, traffic.scratch.order
+    order, waiting_since = scratch.order, right_of_way.waiting_since
     count = 0
-    for row in range(traffic.background.lane.shape[0] + 1):
-        since = right_of_way.waiting_since[row]
+    for row in range(waiting_since.shape[0]):
+        since = waiting_since[row]
         if since == math.inf:
             continue
-        second = _is_second(traffic, row)
+        second = _is_second(movements, right_of_way, scratch, row)
         place = count
         while place > 0:
             other = order[place - 1]
-            other_second = _is_second(traffic, other)
+            other_second = _is_second(movements, right_of_way, scratch, other)
             if other_second == second:
-                if right_of_way.waiting_since[other] <= since:
+                if waiting_since[other] <= since:
                     break
             elif second:
                 break
@@ -127,10 +136,12 @@ def _queue(traffic: Traffic) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
-def _is_free(traffic: Traffic, movement: int, for_ego: bool) -> bool:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def _is_free(
+    movements: Movements, right_of_way: RightOfWay, covered: EgoOnLanes, movement: int, for_ego: bool
+) -> bool:
     """Tell whether nobody is in the way of a movement, and nobody who has waited longer would be."""
-    right_of_way, movements, blocks = traffic.right_of_way, traffic.movements, traffic.ego_on_lanes.blocks
+    blocks = covered.blocks
     if not for_ego and blocks[movement] > 0:
         return False
     for index in range(movements.conflict_start[movement], movements.conflict_start[movement + 1]):
@@ -142,21 +153,28 @@ def _is_free(traffic: Traffic, movement: int, for_ego: bool) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
-def _has_room(traffic: Traffic, movement: int) -> bool:
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def _has_room(
+    graph: LaneGraph,
+    movements: Movements,
+    background: Background,
+    right_of_way: RightOfWay,
+    covered: EgoOnLanes,
+    scratch: Scratch,
+    movement: int,
+) -> bool:
     """Tell whether the vehicle can leave the junction, even if those in front of it brake hard."""
-    graph, background = traffic.graph, traffic.background
-    lane = traffic.movements.exit[movement]
-    vehicles = traffic.right_of_way.inbound[lane] + (2 if traffic.movements.yields[movement] else 1)
+    lane = movements.exit[movement]
+    vehicles = right_of_way.inbound[lane] + (2 if movements.yields[movement] else 1)
     needed = vehicles * SLOT
     base = 0.0
     while base < _ROOM_LOOK_AHEAD:
-        tail = traffic.ego_on_lanes.rear[lane]
-        other = traffic.scratch.first_on_lane[lane]
+        tail = covered.rear[lane]
+        other = scratch.first_on_lane[lane]
         while other != NOBODY:
             speed = background.speed[other]
             tail = min(tail, background.s[other] - 0.5 * background.length[other] + speed * speed / 12.0)
-            other = traffic.scratch.next_on_lane[other]
+            other = scratch.next_on_lane[other]
         if tail < math.inf:
             return base + tail >= needed
         base += graph.length[lane]
@@ -166,15 +184,10 @@ def _has_room(traffic: Traffic, movement: int) -> bool:
     return base >= needed
 
 
-@njit(cache=True, nogil=True)
-def _take_another_way(traffic: Traffic, row: int) -> None:
-    """Let a background vehicle whose exit stays full draw its path anew from the junction on."""
-    right_of_way, graph, background = traffic.right_of_way, traffic.graph, traffic.background
-    if row == background.lane.shape[0]:
-        return
-    if traffic.scratch.clock[0] - right_of_way.waiting_since[row] < DETOUR_AFTER:
-        return
+@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+def _take_another_way(graph: LaneGraph, background: Background, row: int, movement: int) -> None:
+    """Let a background vehicle draw its path anew from the junction on that it cannot cross."""
     for place in range(1, PATH_LENGTH):
-        if graph.movement[background.path[row, place]] == right_of_way.ahead[row]:
+        if graph.movement[background.path[row, place]] == movement:
             plan_from(graph, background, row, place)
             return

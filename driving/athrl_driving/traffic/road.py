@@ -14,7 +14,7 @@ from athrl_driving.maps import Town
 from athrl_driving.traffic.collision import first_touched
 from athrl_driving.traffic.spawn import place_vehicles
 from athrl_driving.traffic.state import NOBODY, Background, new_traffic
-from athrl_driving.traffic.tick import advance, look
+from athrl_driving.traffic.tick import tick
 from athrl_driving.traffic.vehicle import BackgroundVehicle
 
 _NO_EGO = np.empty(0)
@@ -75,7 +75,7 @@ class TrafficRoad(Road):
 
     def step(self, dt: float) -> None:
         """Move everybody on by `dt` seconds and see what the ego hits; traffic sees where the ego was."""
-        advance(self.traffic, self._observed_ego(), self.ego_path, dt)
+        tick(*self.traffic, self._observed_ego(), self.ego_path, dt)
         if not self._has_ego():
             return
         ego = self.vehicles[0]
@@ -88,11 +88,11 @@ class TrafficRoad(Road):
             ego.handle_collisions(obstacle, dt)
 
     def leader_of_ego(self) -> tuple[float, float]:
-        """Return (gap m, speed m/s) of the nearest vehicle ahead on `ego_path`, else (inf, 0).
+        """Return (gap m, speed m/s) of the next vehicle on `ego_path`, or (inf, 0).
 
         The gap is from bumper to bumper along the path.
         """
-        look(self.traffic, self._observed_ego(), self.ego_path)
+        tick(*self.traffic, self._observed_ego(), self.ego_path, 0.0)
         row = len(self.background.lane)
         gap = float(self.traffic.scratch.gap[row])
         return (gap, float(self.traffic.scratch.leader_speed[row])) if math.isfinite(gap) else (math.inf, 0.0)
@@ -103,7 +103,7 @@ class TrafficRoad(Road):
         return bool(right_of_way.ahead[-1] == NOBODY or right_of_way.granted[-1] == right_of_way.ahead[-1])
 
     def ego_stop_line(self) -> float:
-        """Return the distance (m) from the ego's front to the next junction on its path, as of the last tick."""
+        """Return the distance (m) from the ego's front to its next junction, as of the last tick."""
         return float(self.traffic.right_of_way.line_distance[-1])
 
     def _has_ego(self) -> bool:

@@ -8,18 +8,17 @@ from numpy.typing import NDArray
 
 from athrl_driving.maps.geometry import lane_pose
 from athrl_driving.maps.lane_graph import Floats, LaneGraph
-from athrl_driving.traffic.following import approach_speed
 from athrl_driving.traffic.paths import plan_from
 from athrl_driving.traffic.right_of_way import LINE_BRAKING
 from athrl_driving.traffic.state import Background, Traffic
-from athrl_driving.traffic.tick import LINE_MARGIN, look
+from athrl_driving.traffic.tick import LINE_MARGIN, tick
 
 SPACING = 12.0
 """Metres between the centres of two places on a lane where a vehicle may start."""
 
 _JITTER = 1.0
 _SHORTEST_LANE = 25.0
-_TICK = 0.1
+_REACTION_ROOM = 1.0
 
 
 def starting_places(graph: LaneGraph) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -57,7 +56,14 @@ def place_vehicles(
     if placed < count:
         raise ValueError(f"vehicles_count is {count}, but the town has room for {placed} at most")
     background.desired_speed[:] = desired_speeds
-    _start(traffic, ego, np.empty(0, dtype=np.int64), haste)
+    # A speed with which everybody can still stop behind its leader and before its line.
+    background.speed[:] = 0.0
+    tick(*traffic, ego, np.empty(0, dtype=np.int64), 0.0)
+    line = traffic.right_of_way.line_distance[:count] - LINE_MARGIN
+    room = np.minimum(traffic.scratch.gap[:count] - 2.0, line)
+    safe = np.sqrt(2.0 * LINE_BRAKING * np.clip(room - _REACTION_ROOM, 0.0, None))
+    speeds = haste * np.minimum(desired_speeds, traffic.pace[background.lane])
+    background.speed[:] = np.minimum(speeds, safe)
 
 
 @njit(cache=True, nogil=True)
@@ -84,17 +90,3 @@ def _place(
         plan_from(graph, background, placed, 1)
         placed += 1
     return placed
-
-
-@njit(cache=True, nogil=True)
-def _start(traffic: Traffic, ego: Floats, ego_path: NDArray[np.int64], haste: Floats) -> None:
-    """Give everybody a speed with which it can still stop behind its leader and before its line."""
-    background, scratch = traffic.background, traffic.scratch
-    background.speed[:] = 0.0
-    look(traffic, ego, ego_path)
-    for row in range(background.lane.shape[0]):
-        speed = haste[row] * min(background.desired_speed[row], traffic.pace[background.lane[row]])
-        line = traffic.right_of_way.line_distance[row] - LINE_MARGIN
-        speed = min(speed, approach_speed(min(line, 1e3), 0.0, LINE_BRAKING, _TICK))
-        gap = min(scratch.gap[row], 1e3) - 2.0
-        background.speed[row] = min(speed, approach_speed(gap, 0.0, LINE_BRAKING, _TICK))
