@@ -52,7 +52,7 @@ class RuleBasedDriver(Driver):
         gap, leader_speed = env.road.leader_of_ego()
         acceleration = self._towards(speed, self._desired_speed(env), gap, leader_speed)
         if not env.road.ego_may_enter():
-            line = self._distance_to_junction(env)
+            line = env.road.ego_stop_line()
             acceleration = min(acceleration, self._towards(speed, env.action_type.maximum_speed, line, 0.0))
         return acceleration
 
@@ -78,11 +78,3 @@ class RuleBasedDriver(Driver):
                 bend_speed = math.sqrt(self.LATERAL_ACCELERATION / curvature)
                 desired = min(desired, math.sqrt(bend_speed**2 + 2.0 * self.BEND_BRAKING * distance))
         return desired
-
-    def _distance_to_junction(self, env: TownEnv) -> float:
-        """Metres from the ego's front to the next junction on its route."""
-        route, graph = env.route, env.town.graph
-        for index in range(route.index + 1, route.lanes.size):
-            if graph.junction[route.lanes[index]] >= 0:
-                return float(route.starts[index] - route.position) - env.vehicle.LENGTH / 2.0
-        return math.inf

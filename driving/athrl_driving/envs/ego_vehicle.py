@@ -7,6 +7,7 @@ import math
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.utils import Vector
+from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
@@ -43,6 +44,7 @@ class EgoVehicle(Vehicle):
         # highway-env would look for the nearest lane here and at every step; the environment knows the lane.
         super().__init__(None, position, heading, speed, predition_type)
         self.road = road
+        self.color = VehicleGraphics.EGO_COLOR
         self.controller = WaypointController()
         self.tick = 0.1
         self.target_speed = 0.0

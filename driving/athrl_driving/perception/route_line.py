@@ -16,7 +16,7 @@ LINE_REACH = 1.5
 """Pixels from the line's middle to where its brightness has faded to nothing."""
 
 LINE_STEP = 0.5
-"""Distance between the points that the line is drawn through, m."""
+"""Distance between the points that the line is drawn through, pixels."""
 
 LINE_BEHIND, LINE_AHEAD = 20.0, 36.0
 """Stretch of the route that can be inside the window, m; 36 m ahead leave it even on a bend."""
@@ -44,7 +44,7 @@ def draw_route(
         while index + 1 < lanes.size and distance >= starts[index + 1]:
             index += 1
         point_x, point_y, _ = lane_pose(graph, lanes[index], distance - starts[index])
-        distance += LINE_STEP
+        distance += LINE_STEP * pixel
         dx, dy = point_x - x, point_y - y
         line_row = row_of(dx * cosine + dy * sine, pixel)
         line_column = column_of(dy * cosine - dx * sine, pixel)

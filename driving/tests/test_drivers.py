@@ -1,0 +1,88 @@
+"""Each driver does what it promises, through the same actions as a policy."""
+
+import gymnasium
+import numpy as np
+import pytest
+from athrl_driving import make_driver
+from athrl_driving.drivers import BlindRouteFollower, Driver, RandomDriver, RuleBasedDriver
+from athrl_driving.envs import TownEnv
+
+
+def episode(env: TownEnv, driver: Driver, seed: int) -> tuple[float, dict]:
+    """Return and last info of an episode."""
+    env.reset(seed=seed)
+    driver.reset(env, seed)
+    total = 0.0
+    while True:
+        action = driver.act(env)
+        assert env.action_space.contains(action)
+        _, reward, terminated, truncated, info = env.step(action)
+        total += reward
+        if terminated or truncated:
+            return total, info
+
+
+def test_names_make_the_drivers() -> None:
+    assert isinstance(make_driver("random"), RandomDriver)
+    assert isinstance(make_driver("blind"), BlindRouteFollower)
+    assert isinstance(make_driver("rule-based"), RuleBasedDriver)
+    with pytest.raises(ValueError, match="no driver 'expert', there are random, blind, rule-based"):
+        make_driver("expert")
+
+
+def test_a_driver_says_what_it_needs() -> None:
+    with pytest.raises(TypeError, match="needs a TownEnv, this is a CartPoleEnv"):
+        make_driver("blind").reset(gymnasium.make("CartPole-v1"), 0)
+
+
+def test_random_driver_repeats_itself_with_a_seed() -> None:
+    env, driver = TownEnv(config={"vehicles_count": 0}), RandomDriver()
+    draws = []
+    for seed in (1, 1, 2):
+        driver.reset(env, seed)
+        draws.append(np.array([driver.act(env) for _ in range(20)]))
+    np.testing.assert_array_equal(draws[0], draws[1])
+    assert not np.array_equal(draws[0], draws[2])
+
+
+def test_blind_follower_keeps_to_the_route_at_four_metres_a_second() -> None:
+    env = TownEnv(config={"vehicles_count": 0})
+    for seed in range(10):
+        total, info = episode(env, BlindRouteFollower(), seed)
+        assert not info["off_lane"]
+        assert info["speed"] == pytest.approx(4.0, abs=0.1)
+        assert 180 < info["distance"] < 200
+        assert 1500 < total < 2000
+
+
+def test_rule_based_driver_gets_through_traffic() -> None:
+    env = TownEnv()
+    returns = []
+    for seed in range(12):
+        total, info = episode(env, RuleBasedDriver(), seed)
+        assert not info["collision"]
+        assert not info["off_lane"]
+        returns.append(total)
+    assert np.mean(returns) > 2300
+
+
+def test_rule_based_driver_stops_behind_a_standing_vehicle() -> None:
+    env = TownEnv(config={"vehicles_count": 1})
+    lane = int(np.argmax(np.where(env.town.graph.curvature == 0, env.town.graph.length, 0.0)))
+    for seed in range(2000):
+        env.reset(seed=seed)
+        if env.route.lane == lane and env.town.graph.length[lane] + env.route.starts[env.route.index] > 80:
+            break
+    else:
+        pytest.fail("no seed puts the ego on the longest straight lane")
+    x, y, heading = env.route.poses(np.array([50.0]))[0]
+    car = env.road.background
+    car.x[0], car.y[0], car.heading[0], car.lane[0] = x, y, heading, lane
+    car.s[0], car.speed[0], car.crashed[0] = 50.0 - env.route.starts[0], 0.0, True
+    car.path[0, 0] = lane
+    driver = RuleBasedDriver()
+    for _ in range(60):
+        _, _, terminated, _, info = env.step(driver.act(env))
+        assert not terminated
+    assert info["speed"] < 0.1
+    assert 35.0 < env.route.position < 46.0
