@@ -1,0 +1,178 @@
+"""The actor: drives environments with the run's newest policy and streams what happens to the learner.
+
+Started with an address and a run's name, it asks the learner for the run file. When the learner is away it
+drives on until as many chunks are unacknowledged as the run file allows, then waits; it goes on when the
+learner is back. It ends when the run is finished or `stop` is set, and hands over first what it has.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from contextlib import ExitStack
+
+import zenoh
+from athrl_driving.policy import EnvironmentBatch, environment_config
+from athrl_protocol import (
+    Chunk,
+    ChunkUploader,
+    FramePublisher,
+    MetricsPublisher,
+    Phase,
+    PolicySubscriber,
+    PolicyUpdate,
+    StateSubscriber,
+    new_incarnation,
+)
+from athrl_protocol.run_file import EnvironmentSection, RunFile
+
+from athrl_actor.frames import frame_of
+from athrl_actor.joining import ROLE, join_run
+from athrl_actor.rollout import Moment, Rollout
+from athrl_actor.seeds import ActorSeeds
+
+METRICS_SECONDS = 1.0
+POLL_SECONDS = 0.2
+DRAIN_SECONDS = 5.0  # for handing over what is left at the end
+
+log = logging.getLogger(__name__)
+
+
+def run_actor(*, connect: str, run: str, name: str | None, stop: threading.Event) -> None:
+    """Drive until the run is finished or `stop` is set.
+
+    Raises ProtocolError when the learner or the run is not there or another live actor has the name (without
+    a `name` one is made), and InvalidPolicy when the run's policy cannot be run.
+    """
+    with ExitStack() as stack:
+        joined = join_run(connect=connect, run=run, name=name, stop=stop, stack=stack)
+        if joined is None:
+            return
+        session, run_file, taken = joined
+        Actor(session, run_file, taken, stop, stack).run()
+
+
+class Actor:
+    """An actor that has joined its run."""
+
+    def __init__(
+        self, session: zenoh.Session, run_file: RunFile, name: str, stop: threading.Event, stack: ExitStack
+    ) -> None:
+        """Make environments and connections; what must be closed is put on `stack`."""
+        run, incarnation = run_file.run.name, new_incarnation()
+        self._run_file = run_file
+        self._stop = stop
+        self._batch = _make_batch(run_file.environment, run_file.actor.environments)
+        stack.callback(self._batch.close)
+        self._rollout = Rollout(
+            self._batch,
+            ActorSeeds(run_file.run.seed, name, incarnation),
+            actor=name,
+            incarnation=incarnation,
+            sequence_length=run_file.replay.sequence_length,
+        )
+        self._policies = stack.enter_context(PolicySubscriber(session, run))
+        self._states = stack.enter_context(StateSubscriber(session, run))
+        self._metrics = stack.enter_context(MetricsPublisher(session, run, ROLE, name))
+        self._frames = stack.enter_context(FramePublisher(session, run, ROLE, name))
+        capacity = run_file.actor.unacknowledged_chunks
+        self._uploader = stack.enter_context(ChunkUploader(session, run, name, incarnation, capacity))
+        self._pending: deque[Chunk] = deque()  # not yet taken by the uploader
+        self._update: PolicyUpdate | None = None
+        self._reported_at = time.monotonic()
+        self._policy_seconds = 0.0  # from a policy's publication to its first use
+
+    def run(self) -> None:
+        """Drive to the end, then hand over what is left."""
+        while not self._over():
+            self._adopt_newest_policy()
+            self._report()
+            if self._rollout.policy_version < 0:
+                self._stop.wait(POLL_SECONDS)
+                continue
+            self._hand_over(self._rollout.step(self._show if self._frames.watched else None))
+        self._drain()
+
+    def _over(self) -> bool:
+        """Whether to stop driving: somebody asked for it, or the run is finished."""
+        return self._stop.is_set() or self._finished()
+
+    def _finished(self) -> bool:
+        state = self._states.newest()
+        return self._uploader.finished or (state is not None and state.phase is Phase.FINISHED)
+
+    def _adopt_newest_policy(self) -> None:
+        """Take the newest policy, between two decisions."""
+        update = self._policies.newest()
+        if update is None or update is self._update:
+            return
+        self._rollout.adopt(update)
+        self._update = update
+        self._policy_seconds = max(0.0, time.time() - update.published_at)
+
+    def _hand_over(self, chunks: list[Chunk]) -> None:
+        """Give chunks to the uploader, waiting while that is full; what is left at the end stays pending."""
+        self._pending.extend(chunks)
+        began = time.monotonic()
+        complained = False
+        while self._pending:
+            if self._uploader.submit(self._pending[0], timeout=POLL_SECONDS):
+                self._pending.popleft()
+                continue
+            if self._over():
+                return
+            self._report()
+            waited = time.monotonic() - began
+            if waited > self._run_file.network.patience and not complained:
+                log.warning("the learner has taken nothing for %.0f s; waiting for it", waited)
+                complained = True
+
+    def _drain(self) -> None:
+        """Hand over the open chunks and wait a little for their acknowledgement."""
+        self._pending.extend(self._rollout.flush())
+        deadline = time.monotonic() + DRAIN_SECONDS
+        while self._pending and not self._uploader.finished:
+            if not self._uploader.submit(self._pending[0], timeout=max(0.0, deadline - time.monotonic())):
+                break
+            self._pending.popleft()
+        self._uploader.flush(timeout=max(0.0, deadline - time.monotonic()))
+        left = len(self._pending) + self._uploader.statistics().waiting
+        if left and not self._uploader.finished:
+            log.warning("%d chunks were not acknowledged within %.0f s", left, DRAIN_SECONDS)
+
+    def _report(self) -> None:
+        """Publish metrics about once a second."""
+        if time.monotonic() - self._reported_at < METRICS_SECONDS:
+            return
+        self._reported_at = time.monotonic()
+        self._metrics.publish(self._report_values())
+
+    def _report_values(self) -> dict[str, float]:
+        uploads = self._uploader.statistics()
+        state = self._states.newest()
+        values = {
+            **self._rollout.statistics.report(),
+            "chunks_produced": uploads.produced,
+            "chunks_acknowledged": uploads.acknowledged,
+            "chunks_resent": uploads.resent,
+            "chunks_given_up": uploads.given_up,
+            "chunks_waiting": uploads.waiting,
+        }
+        version = self._rollout.policy_version
+        if version >= 0:
+            values["policy_version"] = version
+            values["policy_lag_seconds"] = self._policy_seconds
+            if state is not None:
+                values["policy_lag_versions"] = max(0, state.policy_version - version)
+        return values
+
+    def _show(self, moment: Moment) -> None:
+        self._frames.publish(frame_of(self._run_file.environment.town, moment))
+
+
+def _make_batch(section: EnvironmentSection, count: int) -> EnvironmentBatch:
+    settings = section.model_dump()
+    town = settings.pop("town")
+    return EnvironmentBatch(town, environment_config(**settings), count)

@@ -1,0 +1,184 @@
+"""Drive a batch of environments with the newest policy, explore, and cut what happens into chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from athrl_driving.policy import (
+    BatchStep,
+    EnvironmentBatch,
+    ExplorationNoise,
+    InvalidPolicy,
+    OnnxPolicy,
+    PolicyStep,
+)
+from athrl_protocol import Chunk, PolicyUpdate
+
+from athrl_actor.chunks import ChunkBuilder, Transition
+from athrl_actor.seeds import ActorSeeds
+from athrl_actor.statistics import DrivingStatistics
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What happened in one environment at one decision, for those who look on."""
+
+    environment: gymnasium.Env
+    image: np.ndarray  # uint8 [H, W, C], after the decision
+    policy_version: int
+    episode_seed: int
+    step: int  # decisions of the episode so far
+    intention: float  # NaN: the policy has none
+    reward: float
+    episode_return: float
+
+
+class Rollout:
+    """The environments of an actor with the recurrent states, the noise and the open chunks of each."""
+
+    def __init__(
+        self,
+        batch: EnvironmentBatch,
+        seeds: ActorSeeds,
+        *,
+        actor: str,
+        incarnation: int,
+        sequence_length: int,
+    ) -> None:
+        self.statistics = DrivingStatistics()
+        self._batch = batch
+        self._seeds = seeds
+        self._builders = [ChunkBuilder(actor, incarnation, row, sequence_length) for row in range(len(batch))]
+        self._episodes = [0] * len(batch)  # begun so far
+        self._episode_seeds = [0] * len(batch)
+        self._steps = [0] * len(batch)
+        self._returns = np.zeros(len(batch))
+        self._update: PolicyUpdate | None = None
+        self._policy: OnnxPolicy | None = None
+        self._noise: ExplorationNoise | None = None
+        self._states: dict[str, np.ndarray] = {}
+
+    @property
+    def policy_version(self) -> int:
+        """The version that decides; -1 before the first one."""
+        return -1 if self._update is None else self._update.version
+
+    def adopt(self, update: PolicyUpdate) -> None:
+        """Decide with another policy from now on; episodes and recurrent states go on.
+
+        Raises InvalidPolicy if it cannot be run, or is another kind of policy than the one before.
+        """
+        policy = OnnxPolicy(update.artefact)
+        if self._policy is None:
+            self._begin(policy)
+        elif policy.metadata != self._policy.metadata:
+            raise InvalidPolicy(
+                f"policy {update.version} is of another run than the one before: start the actor again"
+            )
+        self._policy, self._update = policy, update
+
+    def step(self, on_first_row: Callable[[Moment], None] | None = None) -> list[Chunk]:
+        """Make one decision in every environment; returns the chunks that it completed.
+
+        `on_first_row` is told what happened in the first environment.
+        """
+        policy, update = self._policy, self._update
+        if policy is None or update is None:
+            raise RuntimeError("there is no policy yet")
+        images, motion = self._batch.images.copy(), self._batch.motion.copy()
+        decided = self._decide(policy, update, images, motion)
+        last = policy.metadata.acting_level
+        outcome = self._batch.step(last.normalised(decided.actions[last.name]))
+        for row, info in enumerate(outcome.infos):
+            self._count(row, float(outcome.rewards[row]), info)
+        if on_first_row is not None:
+            on_first_row(self._moment(decided, outcome))
+        chunks = self._cut(images, motion, decided, outcome, update.version)
+        self._states = decided.states
+        for row in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
+            self.statistics.episode_ended(self._returns[row], bool(outcome.infos[row]["collision"]))
+            self._begin_episode(row)
+        return chunks
+
+    def flush(self) -> list[Chunk]:
+        """Return what is in the open chunks, padded."""
+        return [chunk for builder in self._builders if (chunk := builder.flush()) is not None]
+
+    def _begin(self, policy: OnnxPolicy) -> None:
+        """Begin the first episodes, now that the policy's shape is known."""
+        shape = self._batch.images.shape[1:]
+        if policy.metadata.image_shape != shape:
+            raise InvalidPolicy(
+                f"the policy takes images {policy.metadata.image_shape}, the run's are {shape}"
+            )
+        self._states = policy.initial_states(len(self._batch))
+        self._noise = ExplorationNoise(policy.metadata, len(self._batch), self._seeds.exploration())
+        for row in range(len(self._batch)):
+            self._begin_episode(row)
+
+    def _begin_episode(self, row: int) -> None:
+        assert self._noise is not None
+        seed = self._seeds.episode(row, self._episodes[row])
+        self._batch.reset(row, seed)
+        self._builders[row].begin(seed)
+        self._noise.reset(row)
+        for state in self._states.values():
+            state[row] = 0
+        self._episode_seeds[row] = seed
+        self._episodes[row] += 1
+        self._steps[row] = 0
+        self._returns[row] = 0
+
+    def _decide(
+        self, policy: OnnxPolicy, update: PolicyUpdate, images: np.ndarray, motion: np.ndarray
+    ) -> PolicyStep:
+        assert self._noise is not None
+        if update.uniform_exploration:
+            return policy.step(images, motion, self._states, forced=self._noise.uniform())
+        return policy.step(images, motion, self._states, noise=self._noise.draw(update.noise_scale))
+
+    def _count(self, row: int, reward: float, info: Mapping[str, Any]) -> None:
+        self._steps[row] += 1
+        self._returns[row] += reward
+        self.statistics.decided(float(info["speed"]))
+
+    def _cut(
+        self, images: np.ndarray, motion: np.ndarray, decided: PolicyStep, outcome: BatchStep, version: int
+    ) -> list[Chunk]:
+        """Give each environment's transition to its builder; both levels have the task's reward."""
+        chunks = []
+        for row, builder in enumerate(self._builders):
+            reward = float(outcome.rewards[row])
+            transition = Transition(
+                image=images[row],
+                motion=motion[row],
+                states={level: state[row] for level, state in self._states.items()},
+                actions={level: actions[row] for level, actions in decided.actions.items()},
+                rewards=dict.fromkeys(decided.actions, reward),
+                policy_version=version,
+                next_image=self._batch.images[row],
+                next_motion=self._batch.motion[row],
+                terminated=bool(outcome.terminated[row]),
+                truncated=bool(outcome.truncated[row]),
+            )
+            chunk = builder.add(transition)
+            if chunk is not None:
+                chunks.append(chunk)
+        return chunks
+
+    def _moment(self, decided: PolicyStep, outcome: BatchStep) -> Moment:
+        intention = decided.actions.get("intention")
+        return Moment(
+            environment=self._batch.environments[0],
+            image=self._batch.images[0],
+            policy_version=self.policy_version,
+            episode_seed=self._episode_seeds[0],
+            step=self._steps[0],
+            intention=float("nan") if intention is None else float(intention[0, 0]),
+            reward=float(outcome.rewards[0]),
+            episode_return=float(self._returns[0]),
+        )

@@ -1,0 +1,178 @@
+"""A learner that takes chunks in over real Zenoh, and a policy that needs no training."""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import numpy as np
+import onnx
+import onnx.parser
+import pytest
+from athrl_protocol import (
+    Chunk,
+    ChunkIntake,
+    IntakeBusy,
+    IntakeFinished,
+    MetricsReport,
+    MetricsSubscriber,
+    Phase,
+    PolicyPublisher,
+    PolicyUpdate,
+    PresenceWatcher,
+    RunFile,
+    RunState,
+    StatePublisher,
+    announce_presence,
+    open_session,
+    serve_run_file,
+)
+
+RUN_FILE = {
+    "run": {"name": "test"},
+    "environment": {"vehicles": 4, "episode_ticks": 36},
+    "replay": {"sequence_length": 4},
+    "actor": {"environments": 2, "unacknowledged_chunks": 8},
+}
+
+NOISE = {"noise": "ornstein-uhlenbeck", "noise_scale": 0.2, "damping": 0.15}
+METADATA = {
+    "schema_version": 1,
+    "planner": "test",
+    "observation": {"image": [32, 32, 4], "motion": ["speed_over_8", "steering_over_0.3"]},
+    "levels": [
+        {
+            "name": "intention",
+            "state_size": 3,
+            "actions": [{"name": "intention", "unit": "", "low": 0, "high": 2, **NOISE}],
+        },
+        {
+            "name": "trajectory",
+            "state_size": 2,
+            "actions": [
+                {"name": "target_speed", "unit": "m/s", "low": 0, "high": 7.95, **NOISE},
+                {"name": "waypoint_angle", "unit": "rad", "low": -0.52, "high": 0.52, **NOISE},
+            ],
+        },
+    ],
+}
+
+# Drives straight on; the states count the decisions of an episode, which tells what a chunk should hold.
+GRAPH = """
+<ir_version: 8, opset_import: ["" : 17]>
+policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,3] intention_state, float[N,2] trajectory_state,
+        float[N,1] intention_noise, float[N,1] forced_intention)
+    => (float[N,1] intention, float[N,2] trajectory,
+        float[N,3] next_intention_state, float[N,2] next_trajectory_state)
+{
+    one = Constant <value_float: float = 1.0> ()
+    two = Constant <value_float: float = 2.0> ()
+    nothing = Constant <value_float: float = 0.0> ()
+    pixels = Cast <to: int = 1> (image)
+    bright = ReduceMean <axes: ints = [1, 2, 3], keepdims: int = 0> (pixels)
+    row = Unsqueeze (bright, axis)
+    unlit = Mul (row, nothing)
+    plain = Add (unlit, one)
+    noisy = Add (plain, intention_noise)
+    free = IsNaN (forced_intention)
+    chosen = Where (free, noisy, forced_intention)
+    intention = Clip (chosen, nothing, two)
+    speed = Add (intention, two)
+    still = ReduceMean <axes: ints = [1], keepdims: int = 1> (motion)
+    angle = Mul (still, nothing)
+    trajectory = Concat <axis: int = 1> (speed, angle)
+    next_intention_state = Add (intention_state, one)
+    next_trajectory_state = Add (trajectory_state, two)
+}
+"""
+
+
+def make_artefact() -> bytes:
+    model = onnx.parser.parse_model(GRAPH)
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([1]), "axis"))
+    onnx.helper.set_model_props(model, {"athrl": json.dumps(METADATA)})
+    return model.SerializeToString()
+
+
+class Learner:
+    """Serves a run, keeps the chunks that come, and can be full, finished or away."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.run_file = RunFile.from_json(json.dumps(RUN_FILE))
+        self.chunks: list[Chunk] = []
+        self.reports: list[MetricsReport] = []
+        self.full = False
+        self.finished = False
+        self.version = 0
+        self.changed = threading.Condition()
+        self.ledger: dict | None = None
+        self._stack = ExitStack()
+
+    def open(self) -> None:
+        stack = self._stack = ExitStack()
+        run = self.run_file.run.name
+        self.session = stack.enter_context(open_session(listen=self.address, timeout=5))
+        stack.enter_context(announce_presence(self.session, run, "learner", "learner"))
+        stack.enter_context(serve_run_file(self.session, self.run_file))
+        self.policies = stack.enter_context(PolicyPublisher(self.session, run))
+        self.states = stack.enter_context(StatePublisher(self.session, run))
+        self.presence = stack.enter_context(PresenceWatcher(self.session, run))
+        stack.enter_context(MetricsSubscriber(self.session, run, self._note))
+        self.intake = stack.enter_context(ChunkIntake(self.session, run, self._accept, self.ledger))
+
+    def close(self) -> None:
+        self.ledger = self.intake.ledger()
+        self._stack.close()
+
+    def publish(self, version: int, *, uniform: bool = False, noise_scale: float = 1.0) -> None:
+        self.version = version
+        self.policies.publish(
+            PolicyUpdate(
+                version=version,
+                artefact=make_artefact(),
+                uniform_exploration=uniform,
+                noise_scale=noise_scale,
+                updates=0,
+                environment_steps=0,
+                published_at=time.time(),
+            )
+        )
+
+    def announce(self, phase: Phase) -> None:
+        steps = sum(chunk.length for chunk in self.chunks)
+        self.states.publish(RunState(phase, steps, 1000, 0, self.version))
+
+    def wait_for(self, condition: Callable[[], bool], timeout: float = 60) -> bool:
+        with self.changed:
+            return self.changed.wait_for(condition, timeout)
+
+    def wait_for_chunks(self, count: int) -> None:
+        assert self.wait_for(lambda: len(self.chunks) >= count)
+
+    def _accept(self, chunk: Chunk) -> None:
+        with self.changed:
+            if self.finished:
+                raise IntakeFinished
+            if self.full:
+                raise IntakeBusy
+            self.chunks.append(chunk)
+            self.changed.notify_all()
+
+    def _note(self, report: MetricsReport) -> None:
+        with self.changed:
+            self.reports.append(report)
+            self.changed.notify_all()
+
+
+@pytest.fixture
+def learner() -> Iterator[Learner]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    learner = Learner(f"tcp/127.0.0.1:{port}")
+    learner.open()
+    yield learner
+    learner.close()

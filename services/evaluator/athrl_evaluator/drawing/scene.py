@@ -1,0 +1,169 @@
+"""Log frames to a rerun stream."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import rerun as rr
+from athrl_driving import lane_polylines
+from athrl_protocol import Frame
+
+from athrl_evaluator.drawing import colours
+from athrl_evaluator.drawing.blueprint import TIMELINE
+from athrl_evaluator.drawing.shapes import (
+    CarPicture,
+    bodies_of,
+    outlines_of,
+    painted,
+    points_of,
+    windscreens_of,
+)
+
+APPLICATION = "athrl"
+NEAR = 60.0  # m; what is farther from the car is not drawn around it
+LANE_RADIUS, ROAD_RADIUS = 0.08, 1.9  # m; half the width of lines
+PAUSE = 1.0  # simulated seconds between two episodes on the timeline
+
+
+class SceneDrawing:
+    """Draws one episode after the other on one timeline, which goes on where the last episode ended."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._town = ""
+        self._lanes: list[np.ndarray] = []
+        self._offset = 0.0
+        self._last_time = -math.inf
+        self._episode: tuple[str, int, int] | None = None
+
+    def draw(self, frame: Frame) -> None:
+        """Log everything about one frame."""
+        self._begin_episode_if_new(frame)
+        self._stream.set_time(TIMELINE, duration=self._offset + frame.time)
+        self._last_time = frame.time
+        if frame.town != self._town:
+            self._draw_town(frame.town)
+        self._draw_in_town(frame)
+        self._draw_around_car(frame)
+        self._draw_images(frame)
+        self._draw_curves(frame)
+        self._stream.log("episode", rr.TextDocument(_caption(frame), media_type=rr.MediaType.MARKDOWN))
+
+    def _begin_episode_if_new(self, frame: Frame) -> None:
+        """Frames of another episode, or of this one from its beginning again, come later on the timeline."""
+        episode = (frame.driver, frame.policy_version, frame.episode_seed)
+        if self._episode is not None and (episode != self._episode or frame.time <= self._last_time):
+            self._offset += max(0.0, self._last_time) + PAUSE - frame.time
+        self._episode = episode
+
+    def _draw_town(self, town: str) -> None:
+        self._town = town
+        self._lanes = lane_polylines(town)
+        radius = rr.Radius.ui_points(1.0)
+        roads = rr.LineStrips2D(self._lanes, colors=[colours.TOWN_ROAD], radii=[radius], draw_order=0)
+        self._stream.log("town/lanes", roads, static=True)
+
+    def _draw_in_town(self, frame: Frame) -> None:
+        dot, large_dot, line = (rr.Radius.ui_points(points) for points in (2.5, 5.0, 1.5))
+        others = np.array([(each.x, each.y) for each in frame.vehicles]).reshape(-1, 2)
+        vehicles = rr.Points2D(others, colors=[colours.VEHICLE], radii=[dot], draw_order=2)
+        self._stream.log("town/vehicles", vehicles)
+        route = rr.LineStrips2D([points_of(frame.route)], colors=[colours.ROUTE], radii=[line], draw_order=1)
+        self._stream.log("town/route", route)
+        place = [(frame.ego.x, frame.ego.y)]
+        ego = rr.Points2D(place, colors=[colours.EGO], radii=[large_dot], draw_order=3)
+        self._stream.log("town/ego", ego)
+
+    def _draw_around_car(self, frame: Frame) -> None:
+        picture = CarPicture(frame.ego)
+        self._draw_roads(frame, picture)
+        near = [
+            each for each in frame.vehicles if math.hypot(each.x - frame.ego.x, each.y - frame.ego.y) < NEAR
+        ]
+        self._draw_vehicles("car/vehicles", near, picture, colours.VEHICLE, colours.VEHICLE_EDGE)
+        self._draw_vehicles("car/ego", [frame.ego], picture, colours.EGO, colours.EGO_EDGE)
+        route = picture.points(points_of(frame.route))
+        self._stream.log(
+            "car/route/line", rr.LineStrips2D([route], colors=[colours.ROUTE], radii=[0.15], draw_order=10)
+        )
+        self._stream.log(
+            "car/route/points", rr.Points2D(route, colors=[colours.ROUTE], radii=[0.4], draw_order=11)
+        )
+        if not frame.HasField("waypoint"):
+            return
+        waypoint = picture.points(points_of([frame.waypoint]))
+        way = rr.LineStrips2D(
+            [np.vstack([np.zeros((1, 2)), waypoint])], colors=[colours.WAYPOINT], radii=[0.1]
+        )
+        self._stream.log("car/waypoint/way", way)
+        point = rr.Points2D(waypoint, colors=[colours.WAYPOINT], radii=[0.7], draw_order=40)
+        self._stream.log("car/waypoint/point", point)
+
+    def _draw_roads(self, frame: Frame, picture: CarPicture) -> None:
+        reach = [lane for lane in self._lanes if _near(lane, frame.ego.x, frame.ego.y)]
+        strips = [picture.points(lane) for lane in reach]
+        road = rr.LineStrips2D(strips, colors=[colours.ROAD], radii=[ROAD_RADIUS], draw_order=0)
+        self._stream.log("car/road", road)
+        lanes = rr.LineStrips2D(strips, colors=[colours.LANE], radii=[LANE_RADIUS], draw_order=1)
+        self._stream.log("car/lanes", lanes)
+
+    def _draw_vehicles(
+        self, entity: str, vehicles: list, picture: CarPicture, colour: tuple, edge: tuple
+    ) -> None:
+        bodies = [picture.points(line) for line in bodies_of(vehicles)]
+        widths = [each.width / 2 for each in vehicles]
+        self._stream.log(
+            f"{entity}/body", rr.LineStrips2D(bodies, colors=[colour], radii=widths, draw_order=20)
+        )
+        outlines = [picture.points(outline) for outline in outlines_of(vehicles)]
+        outlines += [picture.points(line) for line in windscreens_of(vehicles)]
+        lines = rr.LineStrips2D(outlines, colors=[edge], radii=[0.09], draw_order=21)
+        self._stream.log(f"{entity}/outline", lines)
+
+    def _draw_images(self, frame: Frame) -> None:
+        size = (frame.image_height, frame.image_width)
+        birdeye = np.frombuffer(frame.birdeye, np.uint8).reshape(*size, 3)
+        lidar = np.frombuffer(frame.lidar, np.uint8).reshape(*size, 1)
+        layers = (colours.TOWN_ROAD, colours.VEHICLE_EDGE, colours.ROUTE)
+        self._stream.log("sees/birdeye", rr.Image(painted(birdeye, layers)))
+        self._stream.log("sees/lidar", rr.Image(painted(lidar, (colours.EGO_EDGE,))))
+
+    def _draw_curves(self, frame: Frame) -> None:
+        curves: dict[str, tuple[float, tuple[int, int, int]]] = {
+            "speed/actual": (frame.ego.speed, colours.SPEED),
+            "speed/target": (frame.target_speed, colours.TARGET_SPEED),
+            "return/return": (frame.episode_return, colours.RETURN),
+            "reward/total": (frame.reward, colours.CURVE),
+        }
+        if not math.isnan(frame.intention):
+            curves["intention/intention"] = (frame.intention, colours.INTENTION)
+        for term, value in frame.reward_terms.items():
+            curves[f"reward/{term}"] = (value, colours.REWARD_TERMS.get(term, colours.CURVE))
+        for entity, (value, colour) in curves.items():
+            name = entity.split("/")[1]
+            self._stream.log(
+                entity, rr.Scalars(value), rr.SeriesLines(colors=[colour], names=[name], widths=[1.5])
+            )
+
+
+def _near(lane: np.ndarray, x: float, y: float) -> bool:
+    """Whether the rectangle around a lane comes within NEAR of a place."""
+    low, high = lane.min(0) - NEAR, lane.max(0) + NEAR
+    return bool(low[0] <= x <= high[0] and low[1] <= y <= high[1])
+
+
+def _caption(frame: Frame) -> str:
+    driver = f"policy {frame.policy_version}" if frame.driver == "policy" else frame.driver
+    return (
+        f"**{driver}** in {frame.town}, seed {frame.episode_seed}\n\n"
+        f"decision {frame.step}, {frame.time:.1f} s, return {frame.episode_return:.0f}, "
+        f"{frame.ego.speed:.1f} m/s, {_intention_in_words(frame.intention)}"
+    )
+
+
+def _intention_in_words(intention: float) -> str:
+    if math.isnan(intention):
+        return "no intention"
+    words = "left" if intention < 2 / 3 else "straight" if intention < 4 / 3 else "right"
+    return f"intends {words} ({intention:.2f})"

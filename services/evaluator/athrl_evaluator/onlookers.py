@@ -1,0 +1,69 @@
+"""Those who look on while episodes are driven: the recorder and the broadcast."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from athrl_protocol import Frame
+
+from athrl_evaluator.broadcast import Broadcast
+from athrl_evaluator.drivers import BatchDriver
+from athrl_evaluator.episodes import EpisodeStep, Onlooker
+from athrl_evaluator.frames import frame_of
+from athrl_evaluator.recordings import EpisodeRecording, prune_recordings
+from athrl_evaluator.scores import EpisodeResult
+
+
+class Recorder(Onlooker):
+    """Records the first `episodes` episodes, one file each, and shows the first one."""
+
+    def __init__(
+        self,
+        driver: BatchDriver,
+        town: str,
+        folder: Path,
+        *,
+        episodes: int,
+        kept: int,
+        broadcast: Broadcast | None = None,
+    ) -> None:
+        """`kept` is how many recordings, of this and earlier evaluations, the folder holds at most."""
+        self._driver = driver
+        self._town = town
+        self._folder = folder
+        self._episodes = episodes
+        self._kept = kept
+        self._broadcast = broadcast
+        self._open: dict[int, EpisodeRecording] = {}
+        self._first_episode: list[Frame] = []
+
+    def on_step(self, step: EpisodeStep) -> None:
+        """Write a frame."""
+        if step.index >= self._episodes:
+            return
+        frame = frame_of(self._driver, self._town, step)
+        if step.index not in self._open:
+            self._open[step.index] = EpisodeRecording(self._folder / self._file_name(step.seed))
+        self._open[step.index].write(frame)
+        if step.index == 0:
+            self._first_episode.append(frame)
+
+    def on_end(self, index: int, result: EpisodeResult) -> None:
+        """Complete the episode's file."""
+        if index not in self._open:
+            return
+        self._open.pop(index).finish()
+        prune_recordings(self._folder, self._kept)
+        if index == 0 and self._broadcast is not None:
+            self._broadcast.show(self._first_episode)
+
+    def close(self) -> None:
+        """Give up the episodes that are not over."""
+        for recording in self._open.values():
+            recording.abandon()
+        self._open.clear()
+
+    def _file_name(self, seed: int) -> str:
+        if self._driver.name == "policy":
+            return f"policy-{self._driver.policy_version:06d}-seed-{seed}.mcap"
+        return f"{self._driver.name}-seed-{seed}.mcap"

@@ -1,0 +1,47 @@
+"""Turn a recorded episode into a rerun file that looks as `athrl watch` does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import rerun as rr
+from athrl_protocol import Frame, decode_frame
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+
+from athrl_evaluator.drawing import APPLICATION, SceneDrawing, default_blueprint
+from athrl_evaluator.recordings import FRAME_TOPIC
+
+
+def read_frames(path: Path) -> Iterator[Frame]:
+    """The frames of a recording in their order; of a file that was cut off, all that is whole.
+
+    Raises ValueError for a file that is no recording of an episode, InvalidMessage for an other release's.
+    """
+    count = 0
+    with path.open("rb") as stream:
+        reader = NonSeekingReader(stream, validate_crcs=True)
+        try:
+            for _, channel, message in reader.iter_messages(log_time_order=False):
+                if channel.topic == FRAME_TOPIC:
+                    count += 1
+                    yield decode_frame(message.data)
+        except McapError as error:
+            if count == 0:
+                raise ValueError(f"{path} is not a recorded episode: {error}") from None
+    if count == 0:
+        raise ValueError(f"{path} is not a recorded episode: it has no {FRAME_TOPIC}")
+
+
+def draw_recording(recording: Path, rerun_file: Path) -> None:
+    """Draw the episode of an MCAP file into a rerun file."""
+    stream = rr.RecordingStream(APPLICATION)
+    stream.save(rerun_file, default_blueprint=default_blueprint())
+    try:
+        drawing = SceneDrawing(stream)
+        for frame in read_frames(recording):
+            drawing.draw(frame)
+        stream.flush()
+    finally:
+        stream.disconnect()
