@@ -1,0 +1,99 @@
+"""Reads checkpoints: checks every file first, and goes back to an older one when the newest is damaged."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import zstandard
+
+from athrl_learner.checkpoint.content import (
+    AGENT,
+    ARRAY_SUFFIX,
+    FORMAT,
+    MANIFEST,
+    REPLAY,
+    STATE,
+    CheckpointContent,
+    numbered_checkpoints,
+)
+from athrl_learner.errors import CannotResume, DamagedCheckpoint
+
+log = logging.getLogger(__name__)
+
+
+def newest_intact_checkpoint(folder: Path) -> tuple[Path, CheckpointContent] | None:
+    """The newest checkpoint in `folder` that is whole, or None where there is not even a damaged one.
+
+    Each damaged one is named in a warning.
+
+    Raises:
+        CannotResume: there are checkpoints, and all of them are damaged.
+    """
+    checkpoints = [path for _, path in numbered_checkpoints(folder)]
+    for path in reversed(checkpoints):
+        try:
+            return path, read_checkpoint(path)
+        except DamagedCheckpoint as damage:
+            log.warning("%s; using the one before", damage)
+    if checkpoints:
+        raise CannotResume(f"all {len(checkpoints)} checkpoints in {folder} are damaged: start a new run")
+    return None
+
+
+def read_checkpoint(path: Path) -> CheckpointContent:
+    """Check every file of the checkpoint at `path` against its manifest, then read it (tensors on the CPU).
+
+    Raises:
+        DamagedCheckpoint: a file is missing, altered or cannot be read; names it.
+        CannotResume: it was written by another version of the format.
+    """
+    manifest = _read_manifest(path / MANIFEST)
+    for name, facts in manifest["files"].items():
+        _check_file(path / name, facts)
+    try:
+        return CheckpointContent(
+            state=json.loads((path / STATE).read_bytes()),
+            agent=torch.load(path / AGENT, map_location="cpu", weights_only=True),
+            replay={
+                name[len(REPLAY) + 1 : -len(ARRAY_SUFFIX)]: _read_array(path / name)
+                for name in manifest["files"]
+                if name.startswith(f"{REPLAY}/")
+            },
+        )
+    except Exception as error:
+        # The checksums agree, so this is no bit flip; whatever is wrong, an older checkpoint may be right.
+        raise DamagedCheckpoint(f"checkpoint {path} cannot be read: {error}") from None
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    try:
+        manifest = json.loads(path.read_bytes())
+        version, names = manifest["format"], set(manifest["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DamagedCheckpoint(f"checkpoint file {path} is missing or damaged") from None
+    if version != FORMAT:
+        raise CannotResume(f"{path.parent} has checkpoint format {version}, this learner reads {FORMAT}")
+    if not {STATE, AGENT} <= names:
+        raise DamagedCheckpoint(f"checkpoint file {path} is damaged: it does not list {STATE} and {AGENT}")
+    return manifest
+
+
+def _check_file(path: Path, facts: dict[str, Any]) -> None:
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise DamagedCheckpoint(f"checkpoint file {path} cannot be read: {error.strerror}") from None
+    if not isinstance(facts, dict) or digest != facts.get("sha256"):
+        raise DamagedCheckpoint(f"checkpoint file {path} is damaged: its checksum is not the manifest's")
+
+
+def _read_array(path: Path) -> np.ndarray:
+    with path.open("rb") as file, zstandard.ZstdDecompressor().stream_reader(file) as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)

@@ -1,0 +1,25 @@
+"""What can go wrong at the learner, in lines that tell the user what to do."""
+
+
+class LearnerError(Exception):
+    """Base of the learner's errors; `str(error)` is one line that says what to do."""
+
+
+class RunFolderTaken(LearnerError):  # noqa: N818 - the names say what happened, as in the protocol
+    """A new run was to be written where another run already is."""
+
+
+class RunFolderInUse(LearnerError):  # noqa: N818
+    """Another learner writes this run's folder at this moment."""
+
+
+class CannotResume(LearnerError):  # noqa: N818
+    """The folder holds nothing that a run could go on from."""
+
+
+class CheckpointFailed(LearnerError):  # noqa: N818
+    """A checkpoint could not be written."""
+
+
+class DamagedCheckpoint(LearnerError):  # noqa: N818
+    """A checkpoint is not what its manifest says; the message names the file."""

@@ -1,0 +1,92 @@
+"""From a chunk off the wire to a sequence for the replay: everything an actor claims is checked here.
+
+The protocol has made sure that a chunk is well formed: types, columns of equal length, finite numbers.
+Whether it fits *this* run (sizes, levels, ranges) only the learner knows, and a replay trusts its content
+for hours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from athrl_planners import ActionRange, ObservationSettings, Sequence
+from athrl_protocol import Chunk, InvalidMessage, LevelColumns
+
+#: Physical values have been through float32 and the graph's scaling: this much beyond a range is rounding.
+_ROUNDING = 1e-4
+_MOTION_LIMIT = 2.0
+
+
+@dataclass(frozen=True)
+class ExpectedLevel:
+    """What a level's columns have to look like: its actions' ranges and the size of its recurrent state."""
+
+    actions: tuple[ActionRange, ...]
+    state_size: int
+
+
+class ChunkReader:
+    """Turns chunks into sequences, and refuses those that do not fit the run."""
+
+    def __init__(
+        self, observation: ObservationSettings, sequence_length: int, levels: Mapping[str, ExpectedLevel]
+    ) -> None:
+        self._observation = observation
+        self._time = sequence_length
+        self._levels = dict(levels)
+
+    def sequence(self, chunk: Chunk) -> Sequence:
+        """The chunk as a sequence; its arrays are the chunk's.
+
+        Raises:
+            InvalidMessage: a size, a level or a value is not the run's; names it, what it was and should be.
+        """
+        self._check_sizes(chunk)
+        _check_motion(chunk.motion[: chunk.length + 1])
+        for name, expected in self._levels.items():
+            _check_level(name, chunk.levels[name], expected, self._time, chunk.length)
+        return Sequence(
+            images=chunk.images,
+            motion=chunk.motion,
+            actions={name: chunk.levels[name].actions for name in self._levels},
+            rewards={name: chunk.levels[name].rewards for name in self._levels},
+            initial_state={name: chunk.levels[name].initial_state for name in self._levels},
+            length=chunk.length,
+            terminated=chunk.terminated,
+        )
+
+    def _check_sizes(self, chunk: Chunk) -> None:
+        _check_shape("images", chunk.images, (self._time + 1, *self._observation.image_shape))
+        _check_shape("motion", chunk.motion, (self._time + 1, self._observation.motion_size))
+        if set(chunk.levels) != set(self._levels):
+            raise InvalidMessage(
+                "shape", f"levels are {sorted(chunk.levels)}; they should be {sorted(self._levels)}"
+            )
+
+
+def _check_level(name: str, columns: LevelColumns, expected: ExpectedLevel, time: int, length: int) -> None:
+    _check_shape(f"{name}.actions", columns.actions, (time, len(expected.actions)))
+    _check_shape(f"{name}.initial_state", columns.initial_state, (expected.state_size,))
+    for column, action in zip(columns.actions[:length].T, expected.actions, strict=True):
+        margin = _ROUNDING * action.half_range
+        if not ((column >= action.low - margin) & (column <= action.high + margin)).all():
+            raise InvalidMessage(
+                "value",
+                f"{name}.actions: {action.name} is {column.min()}..{column.max()}; "
+                f"it should be {action.low:g}..{action.high:g} {action.unit}".rstrip(),
+            )
+
+
+def _check_motion(motion: np.ndarray) -> None:
+    if not (np.abs(motion) <= _MOTION_LIMIT * (1 + _ROUNDING)).all():
+        raise InvalidMessage(
+            "value",
+            f"motion is {motion.min()}..{motion.max()}; it should be -{_MOTION_LIMIT:g}..{_MOTION_LIMIT:g}",
+        )
+
+
+def _check_shape(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise InvalidMessage("shape", f"{name} has shape {list(array.shape)}; it should be {list(shape)}")

@@ -1,0 +1,108 @@
+"""The learner's life: train until all experience is in and paid for, or until somebody stops it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+from athrl_protocol import Phase, RunFile
+
+from athrl_learner.checkpoint import CheckpointContent
+from athrl_learner.parts import Parts
+from athrl_learner.snapshot import take_snapshot
+
+log = logging.getLogger(__name__)
+
+#: Seconds that training waits for experience before it looks after publication, reports and the stop.
+_GLANCE = 0.1
+#: Seconds that a finished learner stays at least, so that everybody hears of it, and at most for its actors.
+_FAREWELL = 2.0
+_ACTORS_LEAVE_WITHIN = 10.0
+
+
+class Learner:
+    """Runs the parts that `run_learner` has put together, in the thread that calls it."""
+
+    def __init__(self, run_file: RunFile, parts: Parts) -> None:
+        self._run_file = run_file
+        self._parts = parts
+        self._batch = run_file.learner.batch
+
+    def run(self, stop: threading.Event, evaluator_deadline: float) -> bool:
+        """Publish, train, end; whether the run is finished (rather than stopped).
+
+        Raises:
+            CheckpointFailed: the last checkpoint could not be written.
+        """
+        self._publish()
+        self._parts.reporter.report()
+        self._train(stop)
+        if self._parts.store.exhausted(self._batch):
+            self._finish()
+            self._linger(stop, evaluator_deadline)
+            return True
+        self._drain()
+        return False
+
+    def _train(self, stop: threading.Event) -> None:
+        parts = self._parts
+        while not stop.is_set() and not parts.store.exhausted(self._batch):
+            if parts.intake.failure is not None:
+                raise parts.intake.failure
+            batch = parts.store.sample(self._batch, timeout=_GLANCE)
+            if batch is not None:
+                parts.trainer.update(batch)
+            if parts.publication.due(parts.trainer.updates):
+                self._publish()
+            if parts.checkpointer.due:
+                parts.checkpointer.write_in_background(self._snapshot())
+            parts.reporter.report_if_due()
+
+    def _finish(self) -> None:
+        """All experience is in and trained on: the last policy, the news, the last checkpoint."""
+        parts = self._parts
+        parts.intake.stop_accepting(finished=True)
+        self._publish()
+        parts.reporter.announce_end(Phase.FINISHED)
+        log.info(
+            "finished after %d environment steps and %d updates; policy version %d",
+            parts.store.environment_steps,
+            parts.trainer.updates,
+            parts.publication.version,
+        )
+        parts.checkpointer.write_last(self._snapshot())
+
+    def _drain(self) -> None:
+        """Stopped before the end: take nothing more in, then keep everything that was acknowledged."""
+        parts = self._parts
+        parts.intake.stop_accepting(finished=False)
+        parts.reporter.announce_end(Phase.DRAINING)
+        log.info("stopped after %d environment steps; writing a checkpoint", parts.store.environment_steps)
+        parts.checkpointer.write_last(self._snapshot())
+
+    def _linger(self, stop: threading.Event, evaluator_deadline: float) -> None:
+        """Stay for those who still need something: actors for a moment, an evaluator until it is done."""
+        began = time.monotonic()
+        while not stop.is_set():
+            waited = time.monotonic() - began
+            roles = {role for role, _ in self._parts.presence.present()}
+            actors_stay = "actor" in roles and waited < _ACTORS_LEAVE_WITHIN
+            evaluator_stays = "evaluator" in roles and waited < evaluator_deadline
+            if waited >= _FAREWELL and not actors_stay and not evaluator_stays:
+                return
+            self._parts.reporter.report_if_due()
+            stop.wait(_GLANCE)
+
+    def _publish(self) -> None:
+        self._parts.publication.publish(
+            updates=self._parts.trainer.updates,
+            environment_steps=self._parts.store.environment_steps,
+            uniform_exploration=not self._parts.store.limiter.warmed_up,
+        )
+
+    def _snapshot(self) -> CheckpointContent:
+        parts = self._parts
+        return take_snapshot(
+            self._run_file, parts.agent, parts.store, parts.intake, parts.publication.version
+        )

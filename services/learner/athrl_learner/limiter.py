@@ -1,0 +1,130 @@
+"""How often a transition is trained on: the ratio that couples actors and learner.
+
+The idea is Reverb's rate limiter with two error bounds. `surplus` is the number of samples that the
+inserts so far still ask for:
+
+    surplus = ratio * (inserts - minimum_inserts) - samples
+
+Inserting raises it, sampling lowers it, and it is held within +-`error_bound`: an insert that would push
+it above waits (the learner lags), a sample that would push it below waits (the actors lag). The first
+`minimum_inserts` transitions are a warm-up: they ask for nothing, and no sample is permitted before them.
+
+The bound is never smaller than one insert and one sample together, which is why at least one side may
+always go on: were both refused, the band would have to be narrower than one insert plus one sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+
+class SamplesPerInsert:
+    """Permits inserts and samples so that their ratio stays near the wanted one. Not thread-safe."""
+
+    def __init__(
+        self,
+        *,
+        ratio: float,
+        tolerance: float,
+        minimum_inserts: int,
+        largest_insert: int,
+        largest_sample: int,
+    ) -> None:
+        """Make a limiter that has seen nothing.
+
+        Args:
+            ratio: samples of a transition for each transition inserted, > 0.
+            tolerance: share of the samples due at the end of the warm-up by which either side may lead.
+            minimum_inserts: transitions before the first sample, >= 1.
+            largest_insert: transitions of the largest insert that will be asked for, >= 1.
+            largest_sample: transitions of the largest sample that will be asked for, >= 1.
+
+        Raises:
+            ValueError: an argument is outside its bounds.
+        """
+        if ratio <= 0 or tolerance < 0:
+            raise ValueError(f"ratio must be above and tolerance not below 0, not {ratio} and {tolerance}")
+        if min(minimum_inserts, largest_insert, largest_sample) < 1:
+            raise ValueError("minimum_inserts, largest_insert and largest_sample must be at least 1")
+        self.ratio = ratio
+        self.minimum_inserts = minimum_inserts
+        self.largest_insert = largest_insert
+        self.largest_sample = largest_sample
+        self.error_bound = max(tolerance * ratio * minimum_inserts, ratio * largest_insert + largest_sample)
+        self.inserts = 0
+        self.samples = 0
+        self.closed = False
+
+    @property
+    def surplus(self) -> float:
+        """Samples that the inserts so far ask for beyond those taken; negative while samples lead."""
+        return self.ratio * (self.inserts - self.minimum_inserts) - self.samples
+
+    @property
+    def warmed_up(self) -> bool:
+        """Whether enough was inserted for training to start."""
+        return self.inserts >= self.minimum_inserts
+
+    @property
+    def realised_ratio(self) -> float:
+        """Samples for each insert after the warm-up so far; 0 before there was any."""
+        return self.samples / max(1, self.inserts - self.minimum_inserts) if self.warmed_up else 0.0
+
+    def permits_insert(self, count: int) -> bool:
+        """Whether `count` more transitions may be inserted now."""
+        return not self.closed and self.surplus + self.ratio * count <= self.error_bound
+
+    def permits_sample(self, count: int) -> bool:
+        """Whether `count` more transitions may be sampled now.
+
+        After `close` only what is owed may be sampled: there is nothing left to run ahead of.
+        """
+        lowest = 0.0 if self.closed else -self.error_bound
+        return self.warmed_up and self.surplus - count >= lowest
+
+    def inserted(self, count: int) -> None:
+        """Count `count` inserted transitions."""
+        self.inserts += count
+
+    def sampled(self, count: int) -> None:
+        """Count `count` sampled transitions."""
+        self.samples += count
+
+    def close(self) -> None:
+        """No more inserts will come; sampling may go on until nothing is owed."""
+        self.closed = True
+
+    def explain(self) -> str:
+        """Who has to wait for whom now, and why; empty while both may go on."""
+        may_insert = self.permits_insert(self.largest_insert)
+        may_sample = self.permits_sample(self.largest_sample)
+        if self.closed:
+            owed = max(0, round(self.surplus))
+            return f"all experience is in; {owed} samples are still owed" if may_sample else ""
+        if not self.warmed_up:
+            return f"the learner waits for the warm-up: {self.inserts} of {self.minimum_inserts} transitions"
+        if not may_sample:
+            return f"the learner waits for the actors: {self.ratio_text()}"
+        if not may_insert:
+            return f"the actors wait for the learner: {self.ratio_text()}"
+        return ""
+
+    def ratio_text(self) -> str:
+        """The realised and the wanted ratio, in words."""
+        return f"{self.realised_ratio:.1f} samples per insert, {self.ratio:g} wanted"
+
+    def state(self) -> dict[str, int]:
+        """What a checkpoint holds: the counts. The bounds come from the run file."""
+        return {"inserts": self.inserts, "samples": self.samples}
+
+    def load_state(self, state: Mapping[str, int]) -> None:
+        """Go on from the counts of `state()`.
+
+        Raises:
+            ValueError: a count is missing or no integer >= 0.
+        """
+        counts = {name: state.get(name) for name in ("inserts", "samples")}
+        for name, count in counts.items():
+            if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+                raise ValueError(f"the limiter's {name} must be an integer >= 0, not {count!r}")
+        self.inserts, self.samples = int(state["inserts"]), int(state["samples"])

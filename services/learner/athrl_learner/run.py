@@ -1,0 +1,117 @@
+"""`run_learner`: one run of the learner, from its folder's lock to its summary."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from athrl_protocol import RunFile, announce_presence, open_session, read_run_file, serve_run_file, to_toml
+
+from athrl_learner.checkpoint import CheckpointContent, newest_intact_checkpoint, remove_unfinished
+from athrl_learner.errors import CannotResume
+from athrl_learner.learner import Learner
+from athrl_learner.parts import NAME, make_parts
+from athrl_learner.run_folder import RunFolder
+
+log = logging.getLogger(__name__)
+
+_SESSION_TIMEOUT = 10.0
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run came to."""
+
+    run: str
+    folder: Path
+    finished: bool  # false: stopped before its end, can be resumed
+    environment_steps: int
+    updates: int
+    samples_per_insert: float
+    policy_version: int
+    policy: Path  # the newest artefact
+    seconds: float  # since this learner started
+
+
+def run_learner(
+    run_file: RunFile | None,
+    *,
+    resume: Path | None = None,
+    stop: threading.Event,
+    evaluator_deadline: float = 300.0,
+) -> Summary:
+    """Be the learner of a run, from its start or its newest checkpoint, until it ends or `stop` is set.
+
+    Listens at `network.listen`, serves the run file, takes experience in, trains, publishes and writes into
+    the run's folder. At its end it stays for its actors (10 s at most) and for an evaluator that is still at
+    work (`evaluator_deadline` at most). When `stop` is set it takes nothing more in, writes a last checkpoint
+    and returns. Calls `torch.set_num_threads` for the whole process.
+
+    Args:
+        run_file: the run to start; not needed with `resume`.
+        resume: the folder of the run to go on with; `run.toml` in it says how.
+        stop: set from a signal handler or another thread.
+        evaluator_deadline: seconds.
+
+    Raises:
+        LearnerError: the folder is taken, in use, cannot be resumed, or does not take the last checkpoint.
+        ProtocolError: the address is in use, or `run.toml` is wrong.
+    """
+    began = time.monotonic()
+    run_file, path = _what_and_where(run_file, resume)
+    torch.set_num_threads(run_file.learner.threads)
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(RunFolder(path))
+        content = _prepare(folder, resuming=resume is not None)
+        # The address before the folder's content: a run that cannot listen leaves nothing behind.
+        session = stack.enter_context(open_session(listen=run_file.network.listen, timeout=_SESSION_TIMEOUT))
+        folder.lay_out(to_toml(run_file))
+        parts = make_parts(stack, session, run_file, folder, content)
+        # Last, because whoever has the run file expects everything else to be there.
+        stack.enter_context(serve_run_file(session, run_file))
+        stack.enter_context(announce_presence(session, run_file.run.name, NAME, NAME))
+        log.info("run %s listens at %s and writes into %s", run_file.run.name, run_file.network.listen, path)
+        finished = Learner(run_file, parts).run(stop, evaluator_deadline)
+    return Summary(
+        run=run_file.run.name,
+        folder=path,
+        finished=finished,
+        environment_steps=parts.store.environment_steps,
+        updates=parts.trainer.updates,
+        samples_per_insert=parts.store.limiter.realised_ratio,
+        policy_version=parts.publication.version,
+        policy=folder.latest_policy,
+        seconds=time.monotonic() - began,
+    )
+
+
+def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path]:
+    """The run file to follow and the run's folder."""
+    if resume is not None:
+        if not (resume / "run.toml").is_file():
+            raise CannotResume(f"{resume} holds no run to go on with: there is no run.toml in it")
+        return read_run_file(resume / "run.toml"), resume
+    if run_file is None:
+        raise ValueError("run_learner needs a run file, or a run to resume")
+    return run_file, Path(run_file.run.folder) / run_file.run.name
+
+
+def _prepare(folder: RunFolder, *, resuming: bool) -> CheckpointContent | None:
+    """Look at the locked folder: what to go on from, None for the beginning."""
+    if not resuming:
+        folder.require_unused()
+        return None
+    for path in remove_unfinished(folder.checkpoints):
+        log.warning("removed %s, which was never completed", path)
+    found = newest_intact_checkpoint(folder.checkpoints)
+    if found is None:
+        log.warning("%s has no checkpoint yet: the run starts from its beginning", folder.path)
+        return None
+    path, content = found
+    log.info("going on from %s, at %d environment steps", path, content.state["environment_steps"])
+    return content

@@ -1,0 +1,86 @@
+"""The folder of a run: what lies where, who may write it, and files that are never half there."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write `content` beside `path`, bring it to the disk, and rename it: readers see the old or the new."""
+    part = path.with_name(path.name + ".part")
+    with part.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+class RunFolder:
+    """`<folder>/<run>/`; as a context manager it is this process's alone until it leaves.
+
+    The lock is the kernel's on an open file, so it ends with the process however that ends.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.run_toml = path / "run.toml"
+        self.checkpoints = path / "checkpoints"
+        self.latest_policy = path / "policies" / "latest.onnx"
+        self.latest_policy_facts = path / "policies" / "latest.json"
+        self._lock_path = path / "learner.lock"
+        self._lock: IO[bytes] | None = None
+
+    def __enter__(self) -> RunFolder:
+        """Make the folder where it is missing and lock it.
+
+        Raises:
+            RunFolderInUse: another learner holds it.
+            LearnerError: it cannot be written.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock = self._lock_path.open("ab")
+        except OSError as error:
+            raise LearnerError(f"cannot write the run folder {self.path}: {error.strerror}") from None
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            raise RunFolderInUse(
+                f"another learner is writing {self.path}: stop it first, or choose another run.name"
+            ) from None
+        self._lock = lock
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def require_unused(self) -> None:
+        """Refuse a folder that holds a run; logs that a starter has put there already are no run.
+
+        Raises:
+            RunFolderTaken: it holds a run file or checkpoints.
+        """
+        if self.run_toml.exists() or (self.checkpoints.is_dir() and any(self.checkpoints.iterdir())):
+            raise RunFolderTaken(
+                f"{self.path} holds a run already: go on with --resume {self.path} or choose another run.name"
+            )
+
+    def lay_out(self, run_toml: str) -> None:
+        """Make the folders inside and write `run.toml`, the run file as it is used."""
+        try:
+            self.checkpoints.mkdir(exist_ok=True)
+            self.latest_policy.parent.mkdir(exist_ok=True)
+            write_atomically(self.run_toml, run_toml.encode())
+        except OSError as error:
+            raise LearnerError(f"cannot write the run folder {self.path}: {error.strerror}") from None

@@ -1,0 +1,163 @@
+"""A small run on a free port of this machine, and chunks that fit it."""
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import pytest
+from athrl_protocol import (
+    Chunk,
+    ChunkUploader,
+    LevelColumns,
+    MetricsReport,
+    MetricsSubscriber,
+    Phase,
+    PolicySubscriber,
+    PolicyUpdate,
+    RunFile,
+    RunState,
+    StateSubscriber,
+    UploadStatistics,
+    announce_presence,
+    fetch_run_file,
+    new_incarnation,
+    open_session,
+    read_run_file,
+)
+
+TIME = 5
+STATE = 16  # h and c of 8 recurrent features
+
+SETTINGS = (
+    "run.name=small",
+    "run.environment_steps=400",
+    "planner.hidden_features=16",
+    "planner.recurrent_features=8",
+    "exploration.random_decisions=60",
+    "replay.capacity=1000",
+    f"replay.sequence_length={TIME}",
+    "replay.burn_in=1",
+    "learner.batch=4",
+    "learner.samples_per_insert=4",
+    "learner.publish_seconds=0.1",
+    "learner.checkpoint_seconds=0.5",
+)
+
+
+@pytest.fixture
+def free_address() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def run_file(tmp_path: Path, free_address: str) -> RunFile:
+    return read_run_file(None, [*SETTINGS, f"run.folder={tmp_path}", f"network.listen={free_address}"])
+
+
+@pytest.fixture
+def make_chunk() -> Callable[..., Chunk]:
+    """Make a chunk that fits the small run, with random content; keywords replace its fields."""
+    random = np.random.default_rng(0)
+
+    def make(**fields: object) -> Chunk:
+        length = int(fields.get("length", TIME))
+        levels = {
+            "intention": random.uniform(0, 2, (TIME, 1)),
+            "trajectory": np.stack(
+                [random.uniform(0, 7.95, TIME), random.uniform(-0.52, 0.52, TIME)], axis=1
+            ),
+        }
+        return Chunk(
+            **{
+                "actor": "actor-1",
+                "incarnation": 1,
+                "sequence": 0,
+                "environment": 0,
+                "episode_seed": 7,
+                "first_step": 0,
+                "length": length,
+                "images": random.integers(0, 2, (TIME + 1, 32, 32, 4), dtype=np.uint8) * np.uint8(255),
+                "motion": random.uniform(-1, 1, (TIME + 1, 2)).astype(np.float32),
+                "levels": {
+                    name: LevelColumns(
+                        actions=actions.astype(np.float32),
+                        rewards=random.normal(size=TIME).astype(np.float32),
+                        initial_state=np.zeros(STATE, np.float32),
+                    )
+                    for name, actions in levels.items()
+                },
+                "policy_version": np.zeros(TIME, np.int64),
+                "terminated": False,
+                "truncated": False,
+                **fields,
+            }
+        )
+
+    return make
+
+
+class FakeActor:
+    """Drives nothing, but speaks the whole protocol: fetches the run file, hears policies, uploads chunks."""
+
+    def __init__(self, address: str, make_chunk: Callable[..., Chunk], name: str = "actor-1") -> None:
+        self._address = address
+        self._make_chunk = make_chunk
+        self._name = name
+        self._leave = threading.Event()
+        self._thread = threading.Thread(target=self._live, daemon=True)
+        self.policies: list[PolicyUpdate] = []
+        self.states: list[RunState] = []
+        self.metrics: list[MetricsReport] = []
+        self.finished = False
+        self.statistics: UploadStatistics | None = None
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._leave.set()
+        self._thread.join(timeout=60)
+        assert not self._thread.is_alive()
+
+    def wait_for(self, condition: Callable[[], bool]) -> None:
+        """Wait until something has happened that must happen."""
+        deadline = time.monotonic() + 60
+        while not condition():
+            assert time.monotonic() < deadline, "the awaited did not happen"
+            time.sleep(0.02)
+
+    def _live(self) -> None:
+        with contextlib.ExitStack() as stack:
+            session = stack.enter_context(open_session(connect=self._address, timeout=30))
+            run = fetch_run_file(session, "small", timeout=30).run.name
+            stack.enter_context(announce_presence(session, run, "actor", self._name))
+            stack.enter_context(PolicySubscriber(session, run, self.policies.append))
+            stack.enter_context(StateSubscriber(session, run, self.states.append))
+            stack.enter_context(MetricsSubscriber(session, run, self.metrics.append))
+            uploader = ChunkUploader(session, run, self._name, new_incarnation(), capacity=16)
+            stack.enter_context(uploader)
+            self.wait_for(lambda: bool(self.policies) or self._leave.is_set())
+            while not self._leave.is_set() and not uploader.finished:
+                version = np.full(TIME, self.policies[-1].version, np.int64)
+                uploader.submit(self._make_chunk(policy_version=version), timeout=0.1)
+            self.statistics = uploader.statistics()
+            if uploader.finished:
+                self.wait_for(self._has_heard_the_end)
+                self.finished = True
+
+    def _has_heard_the_end(self) -> bool:
+        state = self.states[-1]
+        return state.phase is Phase.FINISHED and self.policies[-1].version == state.policy_version
+
+
+@pytest.fixture
+def fake_actor(free_address: str, make_chunk: Callable[..., Chunk]) -> FakeActor:
+    return FakeActor(free_address, make_chunk)

@@ -1,0 +1,121 @@
+"""The limiter holds the ratio, never stops both sides, and survives a restart."""
+
+import copy
+import math
+
+import pytest
+from athrl_learner.limiter import SamplesPerInsert
+from hypothesis import given
+from hypothesis import strategies as st
+
+limiters = st.builds(
+    SamplesPerInsert,
+    ratio=st.floats(0.01, 500),
+    tolerance=st.floats(0, 1),
+    minimum_inserts=st.integers(1, 3000),
+    largest_insert=st.integers(1, 256),
+    largest_sample=st.integers(1, 5000),
+)
+#: Which side is asked first at each step, and how large its request is as a share of the largest.
+requests = st.lists(st.tuples(st.booleans(), st.floats(0, 1)), max_size=200)
+
+
+def small_limiter(**changes: float) -> SamplesPerInsert:
+    settings = {
+        "ratio": 4.0,
+        "tolerance": 0.1,
+        "minimum_inserts": 100,
+        "largest_insert": 10,
+        "largest_sample": 40,
+    }
+    return SamplesPerInsert(**{**settings, **changes})
+
+
+def take_a_step(limiter: SamplesPerInsert, insert: bool, share: float) -> bool:
+    """Ask for one insert or one sample; whether it was permitted (and then counted)."""
+    largest = limiter.largest_insert if insert else limiter.largest_sample
+    count = max(1, round(share * largest))
+    if insert and limiter.permits_insert(count):
+        limiter.inserted(count)
+        return True
+    if not insert and limiter.permits_sample(count):
+        limiter.sampled(count)
+        return True
+    return False
+
+
+@given(limiters, requests)
+def test_one_side_may_always_go_on(limiter, steps):
+    for insert, share in steps:
+        take_a_step(limiter, insert, share)
+        assert limiter.permits_insert(limiter.largest_insert) or limiter.permits_sample(
+            limiter.largest_sample
+        )
+
+
+@given(limiters, requests, requests)
+def test_a_restored_limiter_goes_on_as_if_nothing_had_happened(limiter, before, after):
+    restored = copy.copy(limiter)
+    for insert, share in before:
+        take_a_step(limiter, insert, share)
+    restored.load_state(limiter.state())
+    for insert, share in after:
+        assert take_a_step(limiter, insert, share) == take_a_step(restored, insert, share)
+        assert limiter.surplus == restored.surplus
+
+
+@given(limiters, requests)
+def test_the_surplus_stays_within_the_error_bound(limiter, steps):
+    for insert, share in steps:
+        take_a_step(limiter, insert, share)
+        if limiter.warmed_up:
+            assert -limiter.error_bound <= limiter.surplus <= limiter.error_bound
+
+
+@given(limiters, requests)
+def test_after_closing_only_what_is_owed_is_sampled(limiter, steps):
+    for insert, share in steps:
+        take_a_step(limiter, insert, share)
+    limiter.close()
+    owed = math.floor(limiter.surplus)
+    assert not limiter.permits_insert(1)
+    assert limiter.permits_sample(owed) or owed <= 0 or not limiter.warmed_up
+    assert not limiter.permits_sample(max(1, owed + 1))
+
+
+def test_no_sample_before_the_warm_up():
+    limiter = small_limiter()
+    limiter.inserted(99)
+    assert not limiter.permits_sample(1)
+    assert "warm-up: 99 of 100" in limiter.explain()
+    limiter.inserted(1)
+    assert limiter.permits_sample(40)
+
+
+def test_the_long_run_ratio_is_the_wanted_one():
+    limiter = small_limiter(ratio=32.0, largest_sample=160)
+    for _ in range(3000):
+        while limiter.permits_insert(10):
+            limiter.inserted(10)
+        limiter.sampled(150)
+    assert limiter.realised_ratio == pytest.approx(32.0, rel=0.1)
+
+
+def test_the_limiter_says_who_waits_for_whom():
+    limiter = small_limiter()
+    while limiter.permits_insert(10):
+        limiter.inserted(10)
+    assert limiter.explain().startswith("the actors wait for the learner")
+    while limiter.permits_sample(40):
+        limiter.sampled(40)
+    assert limiter.explain().startswith("the learner waits for the actors")
+    limiter.inserted(10)
+    assert limiter.explain() == ""
+
+
+@pytest.mark.parametrize(
+    "state", [{}, {"inserts": 3}, {"inserts": -1, "samples": 0}, {"inserts": 1.5, "samples": 0}]
+)
+def test_a_wrong_state_is_refused(state):
+    with pytest.raises(ValueError, match="integer >= 0"):
+        small_limiter().load_state(state)

@@ -1,0 +1,66 @@
+"""A run's folder has one writer and one run."""
+
+import subprocess
+import sys
+
+import pytest
+from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
+from athrl_learner.run_folder import RunFolder, write_atomically
+
+HOLD = """
+import sys
+from pathlib import Path
+from athrl_learner.run_folder import RunFolder
+with RunFolder(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_two_learners_never_write_one_folder(tmp_path):
+    with RunFolder(tmp_path / "a"):
+        with pytest.raises(RunFolderInUse, match="another learner is writing"), RunFolder(tmp_path / "a"):
+            pass
+        with RunFolder(tmp_path / "b"):
+            pass
+    with RunFolder(tmp_path / "a"):
+        pass
+
+
+def test_a_killed_learner_leaves_no_lock_behind(tmp_path):
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "run")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(RunFolderInUse), RunFolder(tmp_path / "run"):
+            pass
+        holder.kill()
+        holder.wait(timeout=30)
+        with RunFolder(tmp_path / "run"):
+            pass
+
+
+def test_a_new_run_never_overwrites_another(tmp_path):
+    with RunFolder(tmp_path / "run") as folder:
+        folder.require_unused()
+        folder.lay_out("[run]\n")
+        with pytest.raises(RunFolderTaken, match="go on with --resume"):
+            folder.require_unused()
+
+
+def test_logs_of_a_starter_do_not_count_as_a_run(tmp_path):
+    (tmp_path / "run" / "logs").mkdir(parents=True)
+    with RunFolder(tmp_path / "run") as folder:
+        folder.require_unused()
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LearnerError, match="file/run"), RunFolder(tmp_path / "file" / "run"):
+        pass
+
+
+def test_a_file_is_replaced_whole(tmp_path):
+    write_atomically(tmp_path / "policy", b"old")
+    write_atomically(tmp_path / "policy", b"new")
+    assert [path.name for path in tmp_path.iterdir()] == ["policy"]
+    assert (tmp_path / "policy").read_bytes() == b"new"

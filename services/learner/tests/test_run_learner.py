@@ -1,0 +1,164 @@
+"""Whole runs over loopback with an actor that speaks the real protocol: start, end, stop, kill, resume."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import onnx
+import pytest
+from athrl_learner import CannotResume, RunFolderInUse, RunFolderTaken, Summary, run_learner
+from athrl_learner.checkpoint import newest_intact_checkpoint
+from athrl_protocol import AddressInUse, Phase, RunFile, read_run_file, to_toml
+
+
+@contextmanager
+def learner(run_file: RunFile | None, resume: Path | None = None) -> Iterator[tuple[Future, threading.Event]]:
+    """A learner in a thread of its own; stopped at the latest when the block ends."""
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        try:
+            yield pool.submit(run_learner, run_file, resume=resume, stop=stop), stop
+        finally:
+            stop.set()
+
+
+def folder_of(run_file: RunFile) -> Path:
+    return Path(run_file.run.folder) / run_file.run.name
+
+
+def test_a_run_ends_by_itself_and_policies_only_grow_newer(run_file, fake_actor):
+    with learner(run_file) as (running, _), fake_actor:
+        summary: Summary = running.result(timeout=120)
+    assert summary.finished
+    assert fake_actor.finished
+    assert 400 <= summary.environment_steps < 405
+    assert summary.environment_steps == 5 * fake_actor.statistics.acknowledged
+    # 340 transitions after the warm-up at 4 samples each are 68 updates of 4 x 5, less one that is not full.
+    assert 67 <= summary.updates <= 69
+    assert summary.samples_per_insert == pytest.approx(4, rel=0.05)
+
+    versions = [policy.version for policy in fake_actor.policies]
+    assert versions[0] == 0
+    assert versions == sorted(set(versions))
+    assert versions[-1] == summary.policy_version > 0
+    first, last = fake_actor.policies[0], fake_actor.policies[-1]
+    assert (first.uniform_exploration, first.updates) == (True, 0)
+    assert (last.uniform_exploration, last.updates) == (False, summary.updates)
+    assert last.noise_scale == pytest.approx(0.5)
+    assert fake_actor.states[-1].phase is Phase.FINISHED
+    assert fake_actor.states[-1].policy_version == summary.policy_version
+    names = {name for report in fake_actor.metrics for name in report.values}
+    assert {"environment_steps", "replay_fill", "samples_per_insert", "waiting/learner"} <= names
+
+    assert summary.policy.read_bytes() == last.artefact
+    onnx.checker.check_model(onnx.load_from_string(last.artefact))
+    assert read_run_file(summary.folder / "run.toml") == run_file
+    assert newest_intact_checkpoint(summary.folder / "checkpoints") is not None
+
+
+def test_a_stopped_run_goes_on_where_it_was(run_file, fake_actor):
+    with fake_actor:
+        with learner(run_file) as (running, stop):
+            fake_actor.wait_for(lambda: any(policy.updates for policy in fake_actor.policies))
+            stop.set()
+            stopped: Summary = running.result(timeout=60)
+        assert not stopped.finished
+        assert 60 <= stopped.environment_steps < 400
+        heard = len(fake_actor.policies)
+        # The actor stays as it is: it keeps what was not acknowledged and finds the learner again.
+        with learner(None, resume=folder_of(run_file)) as (running, _):
+            resumed: Summary = running.result(timeout=120)
+    assert resumed.finished
+    assert fake_actor.finished
+    assert fake_actor.policies[heard].version > stopped.policy_version
+    assert fake_actor.policies[heard].updates == stopped.updates
+    versions = [policy.version for policy in fake_actor.policies]
+    assert versions == sorted(set(versions))
+    assert resumed.environment_steps == 5 * fake_actor.statistics.acknowledged
+    assert 67 <= resumed.updates <= 69
+    draining = [state for state in fake_actor.states if state.phase is Phase.DRAINING]
+    assert draining[0].environment_steps == stopped.environment_steps
+
+
+RUN = """
+import sys, threading
+from athrl_learner import run_learner
+from athrl_protocol import read_run_file
+run_learner(read_run_file(sys.argv[1]), stop=threading.Event())
+"""
+
+
+def test_a_killed_run_goes_on_from_its_checkpoint(run_file, fake_actor, tmp_path):
+    (tmp_path / "file.toml").write_text(to_toml(run_file))
+    checkpoints = folder_of(run_file) / "checkpoints"
+    with fake_actor:
+        with subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path / "file.toml")]) as process:
+            try:
+                fake_actor.wait_for(lambda: checkpoints.is_dir() and any(checkpoints.glob("checkpoint-*")))
+            finally:
+                process.kill()
+        heard = len(fake_actor.policies)
+        with learner(None, resume=folder_of(run_file)) as (running, _):
+            resumed: Summary = running.result(timeout=120)
+    assert resumed.finished
+    assert fake_actor.finished
+    assert resumed.environment_steps >= 400
+    # Versions go on above those that the actor has, though the checkpoint is older than the last of them.
+    newest_before = max(policy.version for policy in fake_actor.policies[:heard])
+    assert all(policy.version > newest_before for policy in fake_actor.policies[heard:])
+
+
+def test_two_learners_never_write_one_folder(run_file):
+    with learner(run_file) as (_, _):
+        wait_until_started(run_file)
+        elsewhere = run_file.model_copy(
+            update={"network": run_file.network.model_copy(update={"listen": "tcp/127.0.0.1:1"})}
+        )
+        with pytest.raises(RunFolderInUse):
+            run_learner(elsewhere, stop=threading.Event())
+        with pytest.raises(RunFolderInUse):
+            run_learner(None, resume=folder_of(run_file), stop=threading.Event())
+
+
+def test_an_address_in_use_leaves_nothing_behind(run_file):
+    with learner(run_file) as (_, _):
+        wait_until_started(run_file)
+        other = run_file.model_copy(update={"run": run_file.run.model_copy(update={"name": "other"})})
+        with pytest.raises(AddressInUse):
+            run_learner(other, stop=threading.Event())
+    assert not (folder_of(other) / "run.toml").exists()
+
+
+def test_a_new_run_never_takes_the_folder_of_another(run_file):
+    folder_of(run_file).mkdir()
+    (folder_of(run_file) / "run.toml").write_text("")
+    with pytest.raises(RunFolderTaken, match="--resume"):
+        run_learner(run_file, stop=threading.Event())
+
+
+def test_nothing_cannot_be_resumed(run_file, tmp_path):
+    with pytest.raises(CannotResume, match=r"no run\.toml"):
+        run_learner(None, resume=tmp_path / "nothing", stop=threading.Event())
+
+
+def test_a_stop_before_any_experience_leaves_a_run_to_resume(run_file):
+    stop = threading.Event()
+    stop.set()
+    summary = run_learner(run_file, stop=stop)
+    assert not summary.finished
+    assert summary.policy_version == 0
+    again = run_learner(None, resume=summary.folder, stop=stop)
+    assert again.policy_version == 1
+
+
+def wait_until_started(run_file: RunFile) -> None:
+    policy = folder_of(run_file) / "policies" / "latest.onnx"
+    deadline = time.monotonic() + 60
+    while not policy.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
