@@ -5,10 +5,12 @@ from the same lane are no conflict: their vehicles follow each other until the w
 that lead to the same lane are.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.maps.sketch import Sketch, SketchedMovement
+from athrl_driving.maps.sketch import Sketch
 
 CLEARANCE = 3.0
 """Metres between two centre lines: a vehicle's width, what its corners sweep in a turn, and a margin."""
@@ -16,28 +18,42 @@ CLEARANCE = 3.0
 _SAMPLE_SPACING = 0.5
 
 
-def movement_relations(sketch: Sketch) -> tuple[list[list[int]], list[list[tuple[int, float]]]]:
-    """Return for every movement its conflicts, and its siblings with the metres of road that they share."""
+@dataclass
+class MovementRelations:
+    """By movement: its conflicts and its siblings (same origin), each with a distance in metres.
+
+    With a conflict: how far a vehicle's rear must be along the conflict to be out of the way. With a sibling:
+    over which distance from the origin the two share the road.
+    """
+
+    conflicts: list[list[tuple[int, float]]]
+    siblings: list[list[tuple[int, float]]]
+
+
+def movement_relations(sketch: Sketch) -> MovementRelations:
+    """Return who meets whom in the junctions."""
     paths = [_sampled(sketch, movement.lanes) for movement in sketch.movements]
-    conflicts: list[list[int]] = [[] for _ in paths]
-    siblings: list[list[tuple[int, float]]] = [[] for _ in paths]
+    lengths = [sum(sketch.lanes[row].piece.length for row in movement.lanes) for movement in sketch.movements]
+    relations = MovementRelations([[] for _ in paths], [[] for _ in paths])
     for a, first in enumerate(sketch.movements):
         for b, second in enumerate(sketch.movements):
             if a == b or first.junction != second.junction:
                 continue
             if first.origin == second.origin:
-                siblings[a].append((b, _shared_length(paths[a], paths[b], sketch, first)))
-            elif first.exit == second.exit or _distances(paths[a], paths[b]).min() < CLEARANCE:
-                conflicts[a].append(b)
-    return conflicts, siblings
+                relations.siblings[a].append((b, _shared_until(paths[a], paths[b], lengths[a])))
+            elif first.exit == second.exit:
+                relations.conflicts[a].append((b, lengths[b]))
+            elif _distances(paths[a], paths[b]).min() < CLEARANCE:
+                relations.conflicts[a].append((b, _shared_until(paths[b], paths[a], lengths[b])))
+    return relations
 
 
-def lane_conflicts(sketch: Sketch, conflicts: list[list[int]]) -> list[list[int]]:
+def lane_conflicts(sketch: Sketch, relations: MovementRelations) -> list[list[int]]:
     """Return for every lane the junction lanes of conflicting movements that it meets."""
     result: list[list[int]] = [[] for _ in sketch.lanes]
     paths = {row: _sampled(sketch, [row]) for row, lane in enumerate(sketch.lanes) if lane.movement >= 0}
     for row, path in paths.items():
-        for movement in conflicts[sketch.lanes[row].movement]:
+        for movement, _ in relations.conflicts[sketch.lanes[row].movement]:
             for other in sketch.movements[movement].lanes:
                 if _distances(path, paths[other]).min() < CLEARANCE:
                     result[row].append(other)
@@ -58,9 +74,7 @@ def _distances(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArr
     return np.linalg.norm(first[:, None] - second[None], axis=2)
 
 
-def _shared_length(
-    path: NDArray[np.float64], other: NDArray[np.float64], sketch: Sketch, movement: SketchedMovement
-) -> float:
+def _shared_until(path: NDArray[np.float64], other: NDArray[np.float64], length: float) -> float:
+    """Return how far along a path (m, of its `length`) the last point is that is close to the other."""
     close = np.flatnonzero(_distances(path, other).min(axis=1) < CLEARANCE)
-    whole = sum(sketch.lanes[row].piece.length for row in movement.lanes)
-    return whole if len(close) == len(path) else float(whole * (close[-1] + 1) / len(path))
+    return length * min(1.0, (close[-1] + 1) / (len(path) - 1))

@@ -83,6 +83,8 @@ class Movements(NamedTuple):
     """[M+1]."""
     conflict: Integers
     """[..] movements of other origins that sweep a common area or lead to the same exit."""
+    release: Floats
+    """[..] m along the conflict, in the order of `conflict`: behind them its vehicles are out of the way."""
     sibling_start: Integers
     """[M+1]."""
     sibling: Integers

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.maps.builder import sketch_town
-from athrl_driving.maps.conflicts import lane_conflicts, movement_relations
+from athrl_driving.maps.conflicts import MovementRelations, lane_conflicts, movement_relations
 from athrl_driving.maps.description import TownDescription
 from athrl_driving.maps.lane_graph import LaneGraph, Movements
 from athrl_driving.maps.network import TownNetwork, build_network, graph_heading
@@ -60,11 +60,11 @@ def load_town(name: str) -> Town:
 def build_town(description: TownDescription) -> Town:
     """Build a town. Raises `ValueError` that names the street or the node that cannot be built."""
     sketch = sketch_town(description)
-    conflicts, siblings = movement_relations(sketch)
-    graph = _graph(sketch, lane_conflicts(sketch, conflicts))
+    relations = movement_relations(sketch)
+    graph = _graph(sketch, lane_conflicts(sketch, relations))
     network, indices = build_network(sketch, graph)
     junctions = tuple(Junction(*junction) for junction in sketch.junctions)
-    return Town(description.name, network, graph, _movements(sketch, conflicts, siblings), indices, junctions)
+    return Town(description.name, network, graph, _movements(sketch, relations), indices, junctions)
 
 
 def _compressed(lists: list[list[int]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -124,12 +124,10 @@ def _boxes(sketch: Sketch) -> NDArray[np.float64]:
     return boxes
 
 
-def _movements(
-    sketch: Sketch, conflicts: list[list[int]], siblings: list[list[tuple[int, float]]]
-) -> Movements:
+def _movements(sketch: Sketch, relations: MovementRelations) -> Movements:
     lane_start, lane = _compressed([movement.lanes for movement in sketch.movements])
-    conflict_start, conflict = _compressed(conflicts)
-    sibling_start, sibling = _compressed([[other for other, _ in pairs] for pairs in siblings])
+    conflict_start, conflict = _compressed([[other for other, _ in pairs] for pairs in relations.conflicts])
+    sibling_start, sibling = _compressed([[other for other, _ in pairs] for pairs in relations.siblings])
     lengths = [sum(sketch.lanes[row].piece.length for row in movement.lanes) for movement in sketch.movements]
     return Movements(
         origin=np.array([movement.origin for movement in sketch.movements], dtype=np.int64),
@@ -140,7 +138,8 @@ def _movements(
         lane=lane,
         conflict_start=conflict_start,
         conflict=conflict,
+        release=np.array([length for pairs in relations.conflicts for _, length in pairs]),
         sibling_start=sibling_start,
         sibling=sibling,
-        shared=np.array([length for pairs in siblings for _, length in pairs]),
+        shared=np.array([length for pairs in relations.siblings for _, length in pairs]),
     )

@@ -19,7 +19,7 @@ from athrl_driving.traffic.state import NOBODY, PATH_LENGTH, Background, EgoOnLa
 SLOT = 10.0
 """Metres of road that a standing vehicle needs behind a junction: its length and the gap to the next."""
 
-PATIENCE = 20.0
+PATIENCE = 8.0
 """Seconds after which an entry of a roundabout is served like everybody else."""
 
 DETOUR_AFTER = 8.0
@@ -41,21 +41,36 @@ _ROOM_LOOK_AHEAD = 45.0
 def count_holders(
     graph: LaneGraph, movements: Movements, background: Background, right_of_way: RightOfWay
 ) -> None:
-    """Count who holds each movement and who is on the way to each exit."""
+    """Count who holds each movement, how far they are, and who is on the way to each exit."""
+    rearmost, offset = right_of_way.rearmost, graph.movement_offset
     holders, inbound, exits = right_of_way.holders, right_of_way.inbound, movements.exit
     granted, crossing = right_of_way.granted, right_of_way.crossing
     holders[:] = 0
     inbound[:] = 0
+    rearmost[:] = math.inf
     right_of_way.claimed[:] = False
     vehicles = background.lane.shape[0]
     for row in range(vehicles + 1):
         if granted[row] >= 0:
             holders[granted[row]] += 1
             inbound[exits[granted[row]]] += 1
-        if crossing[row] >= 0:
-            holders[crossing[row]] += 1
-            if row == vehicles or graph.movement[background.lane[row]] == crossing[row]:
-                inbound[exits[crossing[row]]] += 1
+            rearmost[granted[row]] = -math.inf
+        movement = crossing[row]
+        if movement >= 0:
+            holders[movement] += 1
+            if row == vehicles:
+                # The ego may turn back or stop anywhere: it holds the whole movement until it has left.
+                inbound[exits[movement]] += 1
+                rearmost[movement] = -math.inf
+                continue
+            lane = background.lane[row]
+            rear = background.s[row] - 0.5 * background.length[row]
+            if graph.movement[lane] == movement:
+                inbound[exits[movement]] += 1
+                rear += offset[lane]
+            else:
+                rear += movements.length[movement]
+            rearmost[movement] = min(rearmost[movement], rear)
 
 
 @njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
@@ -100,6 +115,7 @@ def serve(
         right_of_way.granted_at[row] = scratch.clock[0]
         right_of_way.waiting_since[row] = math.inf
         right_of_way.holders[movement] += 1
+        right_of_way.rearmost[movement] = -math.inf
         right_of_way.inbound[movements.exit[movement]] += 1
 
 
@@ -146,7 +162,9 @@ def _is_free(
         return False
     for index in range(movements.conflict_start[movement], movements.conflict_start[movement + 1]):
         conflict = movements.conflict[index]
-        if right_of_way.holders[conflict] > 0 or right_of_way.claimed[conflict]:
+        if right_of_way.claimed[conflict]:
+            return False
+        if right_of_way.holders[conflict] > 0 and right_of_way.rearmost[conflict] < movements.release[index]:
             return False
         if not for_ego and blocks[conflict] == 2:
             return False

@@ -61,6 +61,8 @@ class RightOfWay(NamedTuple):
     """[N+1] s since when it asks for `ahead`; infinite while it does not ask."""
     holders: Integers
     """[M] vehicles that hold or cross a movement."""
+    rearmost: Floats
+    """[M] m along the movement to the rear of its last vehicle; minus infinity before that enters."""
     inbound: Integers
     """[L] vehicles that hold a movement to this lane and have not arrived on it."""
     claimed: NDArray[np.bool_]
@@ -150,6 +152,7 @@ def new_traffic(graph: LaneGraph, movements: Movements, count: int, length: floa
         line_distance=np.full(count + 1, np.inf),
         waiting_since=np.full(count + 1, np.inf),
         holders=np.zeros(ways, np.int64),
+        rearmost=np.full(ways, np.inf),
         inbound=np.zeros(lanes, np.int64),
         claimed=np.zeros(ways, np.bool_),
     )
