@@ -161,6 +161,19 @@ def test_each_level_learns_from_its_own_reward(make_sequence: MakeSequence, stac
     assert not equal(one["intention"], two["intention"])
 
 
+def test_training_starts_from_each_levels_own_stored_state(
+    make_sequence: MakeSequence, stack: Stack, after: Any
+) -> None:
+    batch = stack([make_sequence(seed) for seed in range(4)])
+    states = {**batch.initial_state, "trajectory": batch.initial_state["trajectory"] + 0.3}
+    other = replace(batch, initial_state=states)
+    one, two = (
+        after(data, updates=1, actor_delay=1, intention_gradient=0.0)["levels"] for data in (batch, other)
+    )
+    assert equal(one["intention"], two["intention"])
+    assert not equal(one["trajectory"], two["trajectory"])
+
+
 def test_actors_never_change_the_trunk(make_sequence: MakeSequence, stack: Stack, after: Any) -> None:
     batch = stack([make_sequence(seed) for seed in range(4)])
     with_actors = after(batch, updates=1, actor_delay=1)["levels"]
