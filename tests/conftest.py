@@ -10,6 +10,7 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -45,6 +46,11 @@ class Command:
             text=True,
             timeout=seconds,
         )
+
+    def run_together(self, calls: list[list[str]], seconds: float) -> list[subprocess.CompletedProcess[str]]:
+        """Run several commands at the same time, each to its end."""
+        with ThreadPoolExecutor(len(calls)) as pool:
+            return list(pool.map(lambda arguments: self.run(*arguments, seconds=seconds), calls))
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         """Start the command with its output in a file of the folder, which `said` reads."""

@@ -4,8 +4,7 @@ import socket
 import subprocess
 from pathlib import Path
 
-import pytest
-
+CLIENTS = ["actor", "evaluator", "status", "watch"]
 SECONDS = 60.0
 """A machine at work with other things needs that long; by itself each takes two or three seconds."""
 
@@ -63,24 +62,23 @@ def test_port_in_use_is_named(command, tiny: list[str], port: int) -> None:
         assert_one_line(command.run("learner", *tiny, seconds=SECONDS), str(port))
 
 
-@pytest.mark.parametrize("service", ["actor", "evaluator", "status", "watch"])
-def test_learner_that_never_comes_is_named(command, port: int, service: str) -> None:
+def test_learner_that_never_comes_is_named(command, port: int) -> None:
     arguments = ["--connect", f"tcp/127.0.0.1:{port}", "--run", "town03"]
-    assert_one_line(command.run(service, *arguments, seconds=SECONDS), str(port))
+    for result in command.run_together([[service, *arguments] for service in CLIENTS], seconds=SECONDS):
+        assert_one_line(result, str(port))
 
 
-@pytest.mark.parametrize("service", ["actor", "evaluator", "status", "watch"])
 def test_run_that_does_not_exist_is_named_with_those_that_do(
-    command, eventually, tiny: list[str], port: int, service: str
+    command, eventually, tiny: list[str], port: int
 ) -> None:
     learner = command.start("learner", *tiny, "--set", "run.name=here")
-    arguments = ["--connect", f"tcp/127.0.0.1:{port}"]
+    where = ["--connect", f"tcp/127.0.0.1:{port}"]
     eventually(
-        lambda: command.run("status", *arguments, "--run", "here", seconds=SECONDS).returncode == 0, SECONDS
+        lambda: command.run("status", *where, "--run", "here", seconds=SECONDS).returncode == 0, SECONDS
     )
-    assert_one_line(
-        command.run(service, *arguments, "--run", "elsewhere", seconds=SECONDS), "elsewhere", "here"
-    )
+    calls = [[service, *where, "--run", "elsewhere"] for service in CLIENTS]
+    for result in command.run_together(calls, seconds=SECONDS):
+        assert_one_line(result, "elsewhere", "here")
     assert learner.poll() is None
     learner.terminate()
     learner.wait(timeout=SECONDS)

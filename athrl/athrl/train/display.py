@@ -9,7 +9,6 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from athrl.errors import say
 from athrl.picture import draw, plain_line
 from athrl.run_view import RunSnapshot
 
@@ -36,10 +35,7 @@ class Display:
 
     def say(self, line: str) -> None:
         """Show one line that stays."""
-        if self._console.is_terminal:
-            self._console.print(f"athrl: {line}", markup=False, highlight=False, soft_wrap=True)
-        else:
-            say(line)
+        self._console.print(f"athrl: {line}", markup=False, highlight=False, soft_wrap=True)
 
     def show(self, snapshot: RunSnapshot, where_to_look: list[str]) -> None:
         """Show how the run is at this moment."""

@@ -6,7 +6,7 @@ import threading
 import time
 from contextlib import ExitStack
 
-from athrl_protocol import LearnerNotFound, Phase
+from athrl_protocol import LearnerNotFound, Phase, RunNotFound
 
 from athrl.errors import CommandError
 from athrl.run_view import RunSnapshot, RunView
@@ -79,7 +79,7 @@ class TrainingSession:
                 return stack.enter_context(
                     RunView(self._plan.address, self._plan.settings.run.name, timeout=1.0, stop=stop)
                 )
-            except LearnerNotFound:
+            except (LearnerNotFound, RunNotFound):  # the latter: at the address of somebody else's learner
                 if time.monotonic() > deadline:
                     log = self._learner.process.log
                     raise CommandError(
