@@ -1,4 +1,21 @@
-"""The run's state and the learner's metrics, once a second."""
+"""The run's state and the learner's metrics, once a second.
+
+| metric | meaning |
+|---|---|
+| `environment_steps`, `environment_steps_per_second` | decisions accepted in the run, and their rate |
+| `updates`, `updates_per_second` | updates of the planner in the run, and their rate |
+| `update_seconds` | seconds spent in updates since the last report |
+| `replay_transitions`, `replay_fill` | transitions in the replay, and the share of its places taken |
+| `samples_per_insert` | how often a transition was drawn, on average, since the warm-up |
+| `waiting/learner`, `waiting/actors` | share of the time that one waited for the other |
+| `policy_version`, `noise_scale` | the newest policy, and the factor on exploration noise |
+| `policy_lag`, `policy_lag/NAME` | versions by which the actor's last chunk was behind; worst first |
+| `transitions/NAME` | accepted from that actor since this learner started |
+| `actors` | actors that are present |
+| `intake/...` | chunks by what became of them, see `IntakeStatistics` |
+| `loss/LEVEL/...` | means of what the updates since the last report said |
+| `checkpoints_written`, `checkpoints_failed` | since this learner started |
+"""
 
 from __future__ import annotations
 

@@ -131,7 +131,8 @@ for delay in sys.argv[2:]:
         while True:
             number += 1
             weights = {"weight": torch.full((1000, 1000), float(number))}
-            write_checkpoint(folder, CheckpointContent({"number": number}, weights, {"images": images}), kept=2)
+            content = CheckpointContent({"number": number}, weights, {"images": images})
+            write_checkpoint(folder, content, kept=2)
     while not list(folder.glob("checkpoint-[0-9]*[0-9]")):
         time.sleep(0.01)
     time.sleep(float(delay))
@@ -143,7 +144,7 @@ for delay in sys.argv[2:]:
 
 
 def test_a_kill_while_writing_leaves_a_loadable_checkpoint(tmp_path):
-    delays = [str(delay / 1000) for delay in range(0, 96, 8)]
+    delays = [str(delay / 1000) for delay in range(0, 96, 12)]
     unfinished = 0
     command = [sys.executable, "-c", WRITE_AND_KILL, str(tmp_path), *delays]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as killing:

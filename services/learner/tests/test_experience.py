@@ -90,7 +90,7 @@ def test_the_ends_of_the_ranges_are_inside_them(reader, make_chunk):
 def test_motion_outside_its_range_is_refused(reader, make_chunk):
     motion = np.zeros((6, 2), np.float32)
     motion[3, 1] = -2.5
-    with pytest.raises(InvalidMessage, match="motion is -2.5"):
+    with pytest.raises(InvalidMessage, match=r"motion is -2\.5"):
         reader.sequence(make_chunk(motion=motion))
 
 

@@ -1,20 +1,11 @@
 """A run's folder has one writer and one run."""
 
-import subprocess
-import sys
+import os
+import signal
 
 import pytest
 from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
 from athrl_learner.run_folder import RunFolder, write_atomically
-
-HOLD = """
-import sys
-from pathlib import Path
-from athrl_learner.run_folder import RunFolder
-with RunFolder(Path(sys.argv[1])):
-    print("held", flush=True)
-    sys.stdin.read()
-"""
 
 
 def test_two_learners_never_write_one_folder(tmp_path):
@@ -28,15 +19,21 @@ def test_two_learners_never_write_one_folder(tmp_path):
 
 
 def test_a_killed_learner_leaves_no_lock_behind(tmp_path):
-    command = [sys.executable, "-c", HOLD, str(tmp_path / "run")]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
-        assert holder.stdout.readline() == b"held\n"
+    held, tell = os.pipe()
+    holder = os.fork()
+    if holder == 0:
+        with RunFolder(tmp_path / "run"):
+            os.write(tell, b"held")
+            signal.pause()
+    try:
+        assert os.read(held, 4) == b"held"
         with pytest.raises(RunFolderInUse), RunFolder(tmp_path / "run"):
             pass
-        holder.kill()
-        holder.wait(timeout=30)
-        with RunFolder(tmp_path / "run"):
-            pass
+    finally:
+        os.kill(holder, signal.SIGKILL)
+        os.waitpid(holder, 0)
+    with RunFolder(tmp_path / "run"):
+        pass
 
 
 def test_a_new_run_never_overwrites_another(tmp_path):

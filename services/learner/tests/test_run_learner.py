@@ -13,7 +13,16 @@ import onnx
 import pytest
 from athrl_learner import CannotResume, RunFolderInUse, RunFolderTaken, Summary, run_learner
 from athrl_learner.checkpoint import newest_intact_checkpoint
-from athrl_protocol import AddressInUse, Phase, RunFile, read_run_file, to_toml
+from athrl_protocol import (
+    AddressInUse,
+    Phase,
+    PolicySubscriber,
+    RunFile,
+    announce_presence,
+    open_session,
+    read_run_file,
+    to_toml,
+)
 
 
 @contextmanager
@@ -99,7 +108,9 @@ def test_a_killed_run_goes_on_from_its_checkpoint(run_file, fake_actor, tmp_path
     with fake_actor:
         with subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path / "file.toml")]) as process:
             try:
-                fake_actor.wait_for(lambda: checkpoints.is_dir() and any(checkpoints.glob("checkpoint-*")))
+                fake_actor.wait_for(
+                    lambda: checkpoints.is_dir() and any(checkpoints.glob("checkpoint-??????"))
+                )
             finally:
                 process.kill()
         heard = len(fake_actor.policies)
@@ -107,10 +118,31 @@ def test_a_killed_run_goes_on_from_its_checkpoint(run_file, fake_actor, tmp_path
             resumed: Summary = running.result(timeout=120)
     assert resumed.finished
     assert fake_actor.finished
-    assert resumed.environment_steps >= 400
+    assert 400 <= resumed.environment_steps < 405
     # Versions go on above those that the actor has, though the checkpoint is older than the last of them.
     newest_before = max(policy.version for policy in fake_actor.policies[:heard])
     assert all(policy.version > newest_before for policy in fake_actor.policies[heard:])
+
+
+def test_a_finished_learner_stays_for_an_evaluator_and_ends_at_once_when_resumed(run_file, fake_actor):
+    short = run_file.model_copy(update={"run": run_file.run.model_copy(update={"environment_steps": 70})})
+    with learner(short) as (running, _), fake_actor:
+        with (
+            open_session(connect=run_file.network.listen, timeout=30) as session,
+            announce_presence(session, "small", "evaluator", "evaluator"),
+        ):
+            fake_actor.wait_for(lambda: fake_actor.finished)
+            # Longer than it stays for nobody.
+            time.sleep(2.5)
+            assert not running.done()
+            with PolicySubscriber(session, "small") as late:
+                assert late.wait(timeout=30).version == fake_actor.policies[-1].version
+        first: Summary = running.result(timeout=60)
+    with learner(None, resume=first.folder) as (running, _):
+        again: Summary = running.result(timeout=60)
+    assert first.finished
+    assert again.finished
+    assert (again.environment_steps, again.updates) == (first.environment_steps, first.updates)
 
 
 def test_two_learners_never_write_one_folder(run_file):
