@@ -210,7 +210,7 @@ class NetworkSection(Section):
 
     listen: str = Field(
         default="tcp/127.0.0.1:7447",
-        pattern=r"^(tcp|tls)/.+:\d+$",
+        pattern=r"^tcp/.+:\d+$",
         description="The learner's address, as Zenoh writes it.",
     )
     patience: float = Field(
