@@ -6,12 +6,11 @@ line from the lane's start, lateral positive to the driver's right. Headings are
 
 import math
 
-from numba import njit
-
+from athrl_driving.maps.compilation import compiled
 from athrl_driving.maps.lane_graph import LaneGraph
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def lane_pose(graph: LaneGraph, lane: int, s: float) -> tuple[float, float, float]:
     """Return (x, y, heading) at `s` metres along row `lane`."""
     curvature = graph.curvature[lane]
@@ -25,7 +24,7 @@ def lane_pose(graph: LaneGraph, lane: int, s: float) -> tuple[float, float, floa
     return x, y, heading
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def lane_project(graph: LaneGraph, lane: int, x: float, y: float) -> tuple[float, float]:
     """Return (longitudinal, lateral) of a point on row `lane`; on an arc within half a circle."""
     curvature = graph.curvature[lane]
@@ -45,7 +44,7 @@ def lane_project(graph: LaneGraph, lane: int, x: float, y: float) -> tuple[float
     return travelled * radius, lateral
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def closest_lane(graph: LaneGraph, x: float, y: float, heading: float) -> int:
     """Return the row nearest to a pose: lateral distance, plus what lies outside the ends, plus the angle.
 

@@ -2,13 +2,12 @@
 
 import math
 
-from numba import njit
-
+from athrl_driving.maps.compilation import compiled
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.traffic.state import NOBODY, Background
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def rectangles_touch(
     x: float, y: float, heading: float, length: float, width: float,
     other_x: float, other_y: float, other_heading: float, other_length: float, other_width: float,
@@ -29,7 +28,7 @@ def rectangles_touch(
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def first_touched(background: Background, ego: Floats) -> int:
     """Return the first vehicle that the ego (x, y, heading, speed, length, width) touches, or -1."""
     for row in range(background.x.shape[0]):

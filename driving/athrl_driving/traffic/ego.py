@@ -2,8 +2,7 @@
 
 import math
 
-from numba import njit
-
+from athrl_driving.maps.compilation import inlined
 from athrl_driving.maps.geometry import lane_project
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
 from athrl_driving.traffic.state import EgoOnLanes
@@ -15,7 +14,7 @@ _ALONG = 0.5
 _LOCATED_WITHIN = 12
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def forget_ego(covered: EgoOnLanes) -> None:
     """Take the ego off all lanes."""
     for index in range(covered.counts[0]):
@@ -28,7 +27,7 @@ def forget_ego(covered: EgoOnLanes) -> None:
     covered.counts[1] = 0
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def cover_lanes(graph: LaneGraph, covered: EgoOnLanes, ego: Floats) -> None:
     """Note what the ego covers. `ego` is x, y, heading, speed, length, width."""
     forget_ego(covered)
@@ -56,7 +55,7 @@ def cover_lanes(graph: LaneGraph, covered: EgoOnLanes, ego: Floats) -> None:
         covered.blocks[movement] = max(covered.blocks[movement], 2 if math.cos(angle) > _ALONG else 1)
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _cover_lane(graph: LaneGraph, covered: EgoOnLanes, ego: Floats, lane: int) -> None:
     """Project points round the body, at most about 1 m apart, on one lane."""
     cos, sin = math.cos(ego[2]), math.sin(ego[2])
@@ -78,7 +77,7 @@ def _cover_lane(graph: LaneGraph, covered: EgoOnLanes, ego: Floats, lane: int) -
         covered.speed[lane] = ego[3] * math.cos(angle)
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def locate_on_path(graph: LaneGraph, ego: Floats, path: Integers) -> tuple[int, float]:
     """Return (place in the path, m along that lane) of the ego; place -1 where it is off the path."""
     best_place, best_s, best = -1, 0.0, math.inf

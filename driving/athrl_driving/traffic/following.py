@@ -3,7 +3,8 @@
 import math
 
 from highway_env.vehicle.behavior import IDMVehicle
-from numba import njit
+
+from athrl_driving.maps.compilation import compiled
 
 COMFORT_ACCELERATION = float(IDMVehicle.COMFORT_ACC_MAX)
 COMFORT_DECELERATION = float(-IDMVehicle.COMFORT_ACC_MIN)
@@ -18,7 +19,7 @@ _LEAST = 0.01
 _GEOMETRIC_MEAN = 2.0 * math.sqrt(COMFORT_ACCELERATION * COMFORT_DECELERATION)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def idm_acceleration(speed: float, target_speed: float, distance: float, leader_speed: float) -> float:
     """Return the Intelligent Driver Model's acceleration (m/s2), equal to that of highway-env's `IDMVehicle`.
 
@@ -34,7 +35,7 @@ def idm_acceleration(speed: float, target_speed: float, distance: float, leader_
     return acceleration
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def approach_speed(distance: float, speed_there: float, deceleration: float, dt: float) -> float:
     """Return the greatest next speed (m/s) with which `speed_there` is still met after `distance` metres."""
     if distance <= 0.0:

@@ -2,8 +2,7 @@
 
 import math
 
-from numba import njit
-
+from athrl_driving.maps.compilation import inlined
 from athrl_driving.maps.lane_graph import Integers, LaneGraph, Movements
 from athrl_driving.traffic.state import NOBODY, Background, EgoOnLanes, RightOfWay, Scratch
 
@@ -13,7 +12,7 @@ LOOK_AHEAD = 60.0
 _LONGEST_VEHICLE = 12.0
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def sort_by_lane(background: Background, scratch: Scratch) -> None:
     """List the vehicles of every lane."""
     lanes, first, following = background.lane, scratch.first_on_lane, scratch.next_on_lane
@@ -24,7 +23,7 @@ def sort_by_lane(background: Background, scratch: Scratch) -> None:
         first[lane] = vehicle
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def look_ahead(
     graph: LaneGraph,
     movements: Movements,
@@ -87,7 +86,7 @@ def look_ahead(
     scratch.held_up[row] = before_line and right_of_way.granted[leader] == NOBODY
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@inlined
 def _parting(
     graph: LaneGraph,
     movements: Movements,

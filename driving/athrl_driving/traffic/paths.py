@@ -1,14 +1,15 @@
 """Where a background vehicle will go: random turns from each vehicle's own counter, compiled."""
 
-from numba import njit, uint64
+from numba import uint64
 
+from athrl_driving.maps.compilation import inlined
 from athrl_driving.maps.lane_graph import LaneGraph
 from athrl_driving.traffic.state import PATH_LENGTH, Background
 
 _INCREMENT = 0x9E3779B97F4A7C15
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def random_below(background: Background, vehicle: int, bound: int) -> int:
     """Return the vehicle's next random number in 0..bound-1 (splitmix64)."""
     state = background.random_state[vehicle] + uint64(_INCREMENT)
@@ -20,7 +21,7 @@ def random_below(background: Background, vehicle: int, bound: int) -> int:
     return int((state >> uint64(33)) % uint64(bound))
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def random_successor(graph: LaneGraph, background: Background, vehicle: int, lane: int) -> int:
     """Return one of the lanes after `lane`, drawn by the vehicle."""
     start = graph.successor_start[lane]
@@ -30,7 +31,7 @@ def random_successor(graph: LaneGraph, background: Background, vehicle: int, lan
     return graph.successor[start + random_below(background, vehicle, count)]
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def plan_from(graph: LaneGraph, background: Background, vehicle: int, first: int) -> None:
     """Draw the vehicle's path anew from place `first` of it on; the places before stay."""
     path = background.path
@@ -38,7 +39,7 @@ def plan_from(graph: LaneGraph, background: Background, vehicle: int, first: int
         path[vehicle, place] = random_successor(graph, background, vehicle, path[vehicle, place - 1])
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def drop_first(graph: LaneGraph, background: Background, vehicle: int) -> None:
     """Move the path on by one lane."""
     path = background.path

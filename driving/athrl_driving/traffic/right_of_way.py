@@ -3,15 +3,14 @@
 A vehicle asks for its movement in time to cross without braking and gets it when nobody holds a movement
 that gets in its way, when the ego is not in its way, and when there is room for it behind the junction; so
 nobody stands in a junction and blocks it. Who has waited longest is served first, and nobody overtakes it
-in time who would get in its way. Entries of a roundabout come after the ring, until they have waited
-`PATIENCE`; and they need room for two, so that the ring never fills up. The ego asks like everybody else;
+in time who would get in its way. Entries of a roundabout come after the ring and need room for two, so that
+the ring does not fill up; after `PATIENCE` they are served like all others. The ego asks like everybody else;
 where it drives without asking, what it covers is taken.
 """
 
 import math
 
-from numba import njit
-
+from athrl_driving.maps.compilation import inlined
 from athrl_driving.maps.lane_graph import LaneGraph, Movements
 from athrl_driving.traffic.paths import plan_from
 from athrl_driving.traffic.state import NOBODY, PATH_LENGTH, Background, EgoOnLanes, RightOfWay, Scratch
@@ -37,7 +36,7 @@ LINE_BRAKING = 2.0
 _ROOM_LOOK_AHEAD = 45.0
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def count_holders(
     graph: LaneGraph, movements: Movements, background: Background, right_of_way: RightOfWay
 ) -> None:
@@ -73,7 +72,7 @@ def count_holders(
             rearmost[movement] = min(rearmost[movement], rear)
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def ask(right_of_way: RightOfWay, scratch: Scratch, row: int, speed: float) -> None:
     """Let a vehicle that has looked ahead ask for its next movement, keep it, or give it back."""
     now = scratch.clock[0]
@@ -89,7 +88,7 @@ def ask(right_of_way: RightOfWay, scratch: Scratch, row: int, speed: float) -> N
         right_of_way.waiting_since[row] = now
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def serve(
     graph: LaneGraph,
     movements: Movements,
@@ -103,11 +102,14 @@ def serve(
     for index in range(_queue(movements, right_of_way, scratch)):
         row = scratch.order[index]
         movement = right_of_way.ahead[row]
+        second = _is_second(movements, right_of_way, scratch, row)
         if not _is_free(movements, right_of_way, covered, movement, row == ego_row):
-            if not _is_second(movements, right_of_way, scratch, row):
-                right_of_way.claimed[movement] = True
+            right_of_way.claimed[movement] |= not second
             continue
-        if not _has_room(graph, movements, background, right_of_way, covered, scratch, movement):
+        needed = (right_of_way.inbound[movements.exit[movement]] + (2 if second else 1)) * SLOT
+        if not _has_room(graph, background, covered, scratch, movements.exit[movement], needed):
+            # The ring does not take every gap for ever.
+            right_of_way.claimed[movement] |= movements.yields[movement] and not second
             if row != ego_row and scratch.clock[0] - right_of_way.waiting_since[row] > DETOUR_AFTER:
                 _take_another_way(graph, background, row, movement)
             continue
@@ -119,14 +121,14 @@ def serve(
         right_of_way.inbound[movements.exit[movement]] += 1
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _is_second(movements: Movements, right_of_way: RightOfWay, scratch: Scratch, row: int) -> bool:
     """Tell whether a vehicle at an entry still has to let the ring go first."""
     waited = scratch.clock[0] - right_of_way.waiting_since[row]
     return movements.yields[right_of_way.ahead[row]] and waited < PATIENCE
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _queue(movements: Movements, right_of_way: RightOfWay, scratch: Scratch) -> int:
     """Sort who asks: entries last, then by waiting; return how many there are."""
     order, waiting_since = scratch.order, right_of_way.waiting_since
@@ -152,7 +154,7 @@ def _queue(movements: Movements, right_of_way: RightOfWay, scratch: Scratch) -> 
     return count
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _is_free(
     movements: Movements, right_of_way: RightOfWay, covered: EgoOnLanes, movement: int, for_ego: bool
 ) -> bool:
@@ -171,20 +173,16 @@ def _is_free(
     return True
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _has_room(
     graph: LaneGraph,
-    movements: Movements,
     background: Background,
-    right_of_way: RightOfWay,
     covered: EgoOnLanes,
     scratch: Scratch,
-    movement: int,
+    lane: int,
+    needed: float,
 ) -> bool:
-    """Tell whether the vehicle can leave the junction, even if those in front of it brake hard."""
-    lane = movements.exit[movement]
-    vehicles = right_of_way.inbound[lane] + (2 if movements.yields[movement] else 1)
-    needed = vehicles * SLOT
+    """Tell whether the exit `lane` has `needed` metres of room, even if those on it brake hard."""
     base = 0.0
     while base < _ROOM_LOOK_AHEAD:
         tail = covered.rear[lane]
@@ -202,7 +200,7 @@ def _has_room(
     return base >= needed
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _take_another_way(graph: LaneGraph, background: Background, row: int, movement: int) -> None:
     """Let a background vehicle draw its path anew from the junction on that it cannot cross."""
     for place in range(1, PATH_LENGTH):

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from athrl_driving.maps.compilation import compiled
 from athrl_driving.maps.geometry import lane_pose
 from athrl_driving.maps.lane_graph import Floats, LaneGraph
 from athrl_driving.traffic.paths import plan_from
@@ -66,7 +66,7 @@ def place_vehicles(
     background.speed[:] = np.minimum(speeds, safe)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _place(
     graph: LaneGraph,
     background: Background,

@@ -7,8 +7,7 @@ decides which one they take. All decisions see the state before the tick.
 
 import math
 
-from numba import njit
-
+from athrl_driving.maps.compilation import compiled, inlined
 from athrl_driving.maps.geometry import lane_pose
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph, Movements
 from athrl_driving.traffic.ego import cover_lanes, forget_ego, locate_on_path
@@ -29,7 +28,7 @@ LINE_MARGIN = 0.5
 _LEAST_GAP = 1.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tick(
     graph: LaneGraph,
     movements: Movements,
@@ -80,7 +79,7 @@ def tick(
     scratch.clock[0] += dt
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _see_nothing(right_of_way: RightOfWay, scratch: Scratch, row: int) -> None:
     """Note that the ego is off its path."""
     right_of_way.ahead[row] = NOBODY
@@ -89,7 +88,7 @@ def _see_nothing(right_of_way: RightOfWay, scratch: Scratch, row: int) -> None:
     scratch.held_up[row] = False
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _note_crossing(
     graph: LaneGraph, right_of_way: RightOfWay, row: int, path: Integers, place: int, rear: float
 ) -> None:
@@ -103,7 +102,7 @@ def _note_crossing(
         right_of_way.crossing[row] = NOBODY
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _accelerate(
     graph: LaneGraph,
     pace: Floats,
@@ -144,7 +143,7 @@ def _accelerate(
         background.acceleration[row] = max(acceleration, -LARGEST_ACCELERATION, -speed / dt)
 
 
-@njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True)
+@inlined
 def _move(graph: LaneGraph, background: Background, right_of_way: RightOfWay, dt: float) -> None:
     """Drive on along the paths, as highway-env integrates: first the position, then the speed."""
     lanes, speeds, lane_length = background.lane, background.speed, graph.length

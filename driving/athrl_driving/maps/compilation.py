@@ -1,0 +1,67 @@
+"""How kernels are compiled and where their machine code is kept.
+
+numba keeps a function's machine code as long as its own file stays the same, although the functions that
+it calls are compiled into it. So it is kept in a folder named after the content of all kernels' files.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_KERNEL_FOLDERS = ("maps", "traffic", "perception")
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function that Python calls; it frees the interpreter's lock and is kept for later runs."""
+    kept, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder()
+    try:
+        return numba.njit(cache=True, nogil=True)(function)
+    finally:
+        numba.config.CACHE_DIR = kept
+
+
+def inlined(function: Function) -> Function:
+    """Compile a function that only compiled functions call, into its callers."""
+    return numba.njit(nogil=True, forceinline=True, no_cpython_wrapper=True)(function)
+
+
+@cache
+def cache_folder() -> str:
+    """Return the folder for machine code: in $NUMBA_CACHE_DIR, beside the package, or in the user's cache.
+
+    Where none of them can be written it is a temporary folder of this process alone.
+    """
+    name = f"athrl_driving-{_fingerprint()}"
+    user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    places = [os.environ.get("NUMBA_CACHE_DIR"), str(_PACKAGE / "__pycache__"), user_cache]
+    for place in places:
+        if place and _is_writable(Path(place) / name):
+            return str(Path(place) / name)
+    return tempfile.mkdtemp(prefix="athrl-compiled-")
+
+
+def _fingerprint() -> str:
+    digest = hashlib.sha256()
+    for folder in _KERNEL_FOLDERS:
+        for path in sorted((_PACKAGE / folder).glob("*.py")):
+            digest.update(path.name.encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
