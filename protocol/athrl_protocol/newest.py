@@ -1,10 +1,11 @@
 """The newest value of a kind: a put to everybody who is there, and a queryable for whoever comes late.
 
-Each value carries an edition: the publisher's incarnation, which grows with time, and the number of the
-value within it. A subscriber takes a value only if its edition is newer than what it has, so a delayed
-value never replaces a newer one, and a publisher that was started again from an old checkpoint is heard
-at once although its own counters went back. Should the new publisher's clock be behind the old one's, it
-is heard once the old one is seen to be gone.
+A publisher has a liveliness token under its key. A subscriber that sees one, because it came late or the
+publisher did, asks for the newest value. Each value carries an edition: the publisher's incarnation, which
+grows with time, and the number of the value within it. A subscriber takes a value only if its edition is
+newer than what it has, so a delayed value never replaces a newer one, and a publisher that was started again
+from an old checkpoint is heard at once although its own counters went back. Should the new publisher's clock
+be behind the old one's, it is heard once the old one is seen to be gone.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from athrl_protocol.session import undeclare_quietly
 _log = logging.getLogger(__name__)
 
 QUERY_SECONDS = 5.0
-RETRY_SECONDS = 0.5
+RETRY_SECONDS = 0.05
 
 
 class Edition(NamedTuple):
@@ -55,6 +56,8 @@ class NewestPublisher:
             key, congestion_control=zenoh.CongestionControl.BLOCK, reliability=zenoh.Reliability.RELIABLE
         )
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
+        # Last, because whoever sees the token asks the queryable.
+        self._token = session.liveliness().declare_token(key)
 
     def publish(self, payload: bytes) -> None:
         """Make `payload` the newest value and send it to all subscribers."""
@@ -68,13 +71,15 @@ class NewestPublisher:
     def _answer(self, query: zenoh.Query) -> None:
         with query:
             newest = self._newest
-            if newest is not None:
+            if newest is None:
+                query.reply_del(self._key)  # tells "nothing yet" from "nobody there yet"
+            else:
                 payload, attachment = newest
                 query.reply(self._key, payload, attachment=attachment)
 
     def close(self) -> None:
         """Stop answering and sending; the value is gone with its publisher."""
-        for declared in (self._queryable, self._publisher):
+        for declared in (self._token, self._queryable, self._publisher):
             undeclare_quietly(declared)
 
     def __enter__(self) -> Self:
@@ -101,25 +106,21 @@ class NewestSubscriber:
         self._on_value = on_value
         self._changed = threading.Condition()
         self._editions: dict[str, Edition] = {}
-        self._publisher_gone = False
+        self._without_publisher: set[str] = set()
         self._latest: bytes | None = None
         self._closed = threading.Event()
         self._cancel = zenoh.CancellationToken()
+        self._session = session
         self._subscriber = session.declare_subscriber(key, self._take)
-        self._querier = session.declare_querier(
-            key,
-            target=zenoh.QueryTarget.ALL,
-            timeout=QUERY_SECONDS,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        )
-        self._matching = self._querier.declare_matching_listener()
-        self._refresher = threading.Thread(
-            target=self._refresh_when_publisher_comes,
-            args=(self._matching.handler,),
+        self._publishers = session.liveliness().declare_subscriber(key, history=True)
+        # By its handler: Subscriber.recv would keep `close` from undeclaring it.
+        self._asker = threading.Thread(
+            target=self._ask_publishers_that_come,
+            args=(self._publishers.handler,),
             name="newest",
             daemon=True,
         )
-        self._refresher.start()
+        self._asker.start()
 
     def latest(self) -> bytes | None:
         """Return the newest value (of whichever key changed last), or None before there is one."""
@@ -136,12 +137,12 @@ class NewestSubscriber:
         """Stop listening; `latest` keeps what it has."""
         self._closed.set()
         self._cancel.cancel()
-        for declared in (self._matching, self._querier, self._subscriber):
+        for declared in (self._publishers, self._subscriber):
             undeclare_quietly(declared)
         with self._changed:
             self._changed.notify_all()
-        if threading.current_thread() is not self._refresher:
-            self._refresher.join(timeout=QUERY_SECONDS)
+        if threading.current_thread() is not self._asker:
+            self._asker.join(timeout=QUERY_SECONDS)
 
     def __enter__(self) -> Self:
         return self
@@ -153,6 +154,8 @@ class NewestSubscriber:
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Keep a value if it is newer than the one of its key."""
+        if sample.kind == zenoh.SampleKind.DELETE:  # the publisher has no value yet
+            return
         try:
             edition = _edition_of(sample)
         except InvalidMessage as error:
@@ -164,7 +167,7 @@ class NewestSubscriber:
             if self._closed.is_set() or not self._is_newer(key, edition):
                 return
             self._editions[key] = edition
-            self._publisher_gone = False
+            self._without_publisher.discard(key)
             self._latest = payload
             self._changed.notify_all()
             # Within the lock, so that two threads (put and reply) cannot hand values over in the wrong order.
@@ -182,34 +185,39 @@ class NewestSubscriber:
         known = self._editions.get(key)
         if known is None or edition > known:
             return True
-        return self._publisher_gone and edition.incarnation != known.incarnation
+        return key in self._without_publisher and edition.incarnation != known.incarnation
 
-    def _refresh_when_publisher_comes(self, matching: zenoh.handlers.Handler[zenoh.MatchingStatus]) -> None:
-        """Ask for the newest value whenever a publisher appears, until closed."""
+    def _ask_publishers_that_come(self, publishers: zenoh.handlers.Handler[zenoh.Sample]) -> None:
+        """Ask every publisher that appears for its newest value, until closed."""
         while not self._closed.is_set():
             try:
-                present = matching.recv().matching
-                while (later := matching.try_recv()) is not None:
-                    present = later.matching
-                if present:
-                    self._ask()
+                event = publishers.recv()
+                key = str(event.key_expr)
+                if event.kind == zenoh.SampleKind.PUT:
+                    self._ask(key)
                 else:
                     with self._changed:
-                        self._publisher_gone = True
+                        self._without_publisher.add(key)
             except zenoh.ZError:  # undeclared, or the session was closed
                 return
 
-    def _ask(self) -> None:
-        """Query the publishers; once more after a failure, as long as it may help."""
-        deadline = time.monotonic() + 2 * QUERY_SECONDS
+    def _ask(self, key: str) -> None:
+        """Query the publisher of a key, again for some time if it does not answer."""
+        deadline = time.monotonic() + QUERY_SECONDS
         while not self._closed.is_set():
-            failed = False
-            for reply in self._querier.get(cancellation_token=self._cancel):
+            answered = False
+            replies = self._session.get(
+                key,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=QUERY_SECONDS,
+                cancellation_token=self._cancel,
+            )
+            for reply in replies:
                 if reply.ok is not None:
+                    answered = True
                     self._take(reply.ok)
-                else:
-                    failed = True
-            if not failed or time.monotonic() > deadline or self._closed.wait(RETRY_SECONDS):
+            if answered or time.monotonic() > deadline or self._closed.wait(RETRY_SECONDS):
                 return
 
 

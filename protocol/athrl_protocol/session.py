@@ -1,7 +1,7 @@
 """Zenoh sessions: the learner listens as a router, everybody else is its client.
 
 Scouting is off, so a session talks to the address it was given and to nobody else. A client that loses
-its learner tries again every 0.1 to 1 s for as long as it is open. Close sessions in `finally` (or use
+its learner tries again every 0.1 to 0.5 s for as long as it is open. Close sessions in `finally` (or use
 `with`): one that is left open with a subscriber keeps its process from ending. Zenoh's own log is not
 switched on, because it goes to standard output.
 """
@@ -21,7 +21,7 @@ from athrl_protocol.errors import AddressInUse, LearnerNotFound, ProtocolError
 
 # A silent peer is given up after this time; a killed one at once, by its closed connection.
 LEASE_MILLISECONDS = 5_000
-RETRY = {"period_init_ms": 100, "period_max_ms": 1_000, "period_increase_factor": 2}
+RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 # Zenoh's attempts cannot be interrupted by a signal, so each is short.
 ATTEMPT_SECONDS = 1.0
 PAUSE_SECONDS = 0.1
@@ -74,7 +74,7 @@ def split_address(address: str) -> tuple[str, int]:
     """
     protocol, _, place = address.partition("/")
     host, _, port = place.rpartition(":")
-    if protocol not in ("tcp", "tls") or not host or not port.isdigit() or not 0 < int(port) < 65536:
+    if protocol != "tcp" or not host or not port.isdigit() or not 0 < int(port) < 65536:
         raise ProtocolError(f"{address!r} is not an address: it should look like tcp/127.0.0.1:7447")
     return host.strip("[]"), int(port)
 
@@ -85,6 +85,7 @@ def _configuration(mode: str, **settings: Any) -> zenoh.Config:
         "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "scouting/delay": 0,  # a router would wait that long for what scouting finds
         "transport/link/tx/lease": LEASE_MILLISECONDS,
         **settings,
     }

@@ -113,10 +113,10 @@ class ChunkUploader:
             return True
 
     def flush(self, timeout: float) -> bool:
-        """Wait at most `timeout` seconds until nothing is held; return whether that is so."""
+        """Wait at most `timeout` seconds until every chunk is settled; return whether that is so."""
         with self._changed:
             self._changed.wait_for(lambda: self._window.is_empty or self._is_over(), timeout)
-            return self._window.is_empty
+            return self._window.is_empty and not self._closed.is_set()
 
     def statistics(self) -> UploadStatistics:
         """Return the counts of chunks."""

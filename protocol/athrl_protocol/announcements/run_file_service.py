@@ -74,6 +74,6 @@ def _ask(session: zenoh.Session, key: str) -> dict[str, bytes]:
     )
     found: dict[str, bytes] = {}
     for reply in replies:
-        if reply.ok is not None:
+        if reply.ok is not None and reply.ok.kind == zenoh.SampleKind.PUT:
             found[str(reply.ok.key_expr)] = reply.ok.payload.to_bytes()
     return found

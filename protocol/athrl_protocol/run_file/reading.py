@@ -31,7 +31,7 @@ def read_run_file(path: str | Path | None, overrides: Sequence[str] = ()) -> Run
     for override in overrides:
         name, value = _parse_override(override)
         _set(values, name, value, override)
-        overridden[name] = override
+        overridden[name] = _one_line(override)
     source = str(path) if path is not None else "run file"
     _check_names(values, source)
     try:
@@ -54,7 +54,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 def _parse_override(override: str) -> tuple[str, Any]:
     name, equals, text = override.partition("=")
-    name = name.strip()
+    name, override = name.strip(), _one_line(override)
     if not equals or not name:
         raise RunFileError(
             f"--set {override}: should look like section.key=value, for instance learner.batch=64"

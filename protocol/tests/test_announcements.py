@@ -1,0 +1,282 @@
+"""The newest value reaches everybody, early or late, and never an older one after it."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable
+
+import pytest
+import zenoh
+from athrl_protocol import (
+    EvaluationPublisher,
+    EvaluationResult,
+    EvaluationSubscriber,
+    Keys,
+    LearnerNotFound,
+    NewestPublisher,
+    NewestSubscriber,
+    Phase,
+    PolicyPublisher,
+    PolicySubscriber,
+    PolicyUpdate,
+    RunFile,
+    RunNotFound,
+    RunState,
+    StatePublisher,
+    StateSubscriber,
+    athrl_pb2,
+    fetch_run_file,
+    new_incarnation,
+    read_run_file,
+    serve_run_file,
+)
+from athrl_protocol.schema import encode_message
+
+PATIENCE = 30.0
+RUN = "announcements"
+KEY = "athrl/test/newest"
+Open = Callable[[], zenoh.Session]
+Eventually = Callable[[Callable[[], bool]], None]
+
+
+def _policy(version: int, artefact: bytes = b"onnx") -> PolicyUpdate:
+    return PolicyUpdate(
+        version=version,
+        artefact=artefact,
+        uniform_exploration=version == 0,
+        noise_scale=0.5,
+        updates=10 * version,
+        environment_steps=100 * version,
+        published_at=1.5e9,
+    )
+
+
+def _edition(incarnation: int, number: int) -> bytes:
+    return encode_message(athrl_pb2.Edition(incarnation=incarnation, number=number))
+
+
+def test_late_subscriber_has_the_newest_at_once(listen: Open, connect: Open) -> None:
+    with NewestPublisher(listen(), KEY) as publisher:
+        publisher.publish(b"one")
+        publisher.publish(b"two")
+        for _ in range(2):  # a restarted subscriber too
+            with NewestSubscriber(connect(), KEY) as subscriber:
+                assert subscriber.wait(PATIENCE) == b"two"
+
+
+def test_early_subscriber_gets_every_value_in_order(
+    listen: Open, connect: Open, eventually: Eventually
+) -> None:
+    learner = listen()
+    seen: list[bytes] = []
+    with NewestSubscriber(connect(), KEY, seen.append), NewestPublisher(learner, KEY) as publisher:
+        publisher.publish(b"first")
+        eventually(lambda: bool(seen))
+        for number in range(20):
+            publisher.publish(b"%d" % number)
+        eventually(lambda: seen[-1] == b"19")
+    assert seen == [b"first", *(b"%d" % number for number in range(20))]
+
+
+def test_subscriber_returns_without_a_value_when_there_is_none(listen: Open, connect: Open) -> None:
+    with NewestPublisher(listen(), KEY), NewestSubscriber(connect(), KEY) as subscriber:
+        assert subscriber.wait(0.05) is None
+        assert subscriber.latest() is None
+
+
+def test_older_value_never_follows_a_newer_one(listen: Open, connect: Open, eventually: Eventually) -> None:
+    learner = listen()
+    seen: list[bytes] = []
+    present = new_incarnation()
+    with NewestSubscriber(connect(), KEY, seen.append):
+        eventually(lambda: _matches(learner, KEY))
+        for incarnation, number, value in (
+            (present, 5, b"new"),
+            (present, 5, b"the same again"),
+            (present, 4, b"late"),
+            (present - 1, 99, b"of the learner before"),
+            (present, 6, b"newer"),
+            (present + 1, 1, b"of the learner after"),
+            (present, 7, b"of the learner before again"),
+            (present + 1, 2, b"last"),
+        ):
+            learner.put(KEY, value, attachment=_edition(incarnation, number))
+        learner.put(KEY, b"nothing that says its edition")
+        learner.put(
+            KEY, b"of another schema", attachment=athrl_pb2.Edition(incarnation=2**63).SerializeToString()
+        )
+        learner.put(KEY, b"end", attachment=_edition(present + 1, 3))
+        eventually(lambda: bool(seen) and seen[-1] == b"end")
+    assert seen == [b"new", b"newer", b"of the learner after", b"last", b"end"]
+
+
+def _matches(session: zenoh.Session, key: str) -> bool:
+    publisher = session.declare_publisher(key)
+    try:
+        return publisher.matching_status.matching
+    finally:
+        publisher.undeclare()
+
+
+def test_learner_that_returns_with_lower_versions_is_heard_at_once(listen: Open, connect: Open) -> None:
+    learner = listen()
+    arrived = threading.Semaphore(0)
+    with PolicyPublisher(learner, RUN) as publisher:
+        publisher.publish(_policy(9))
+        actor = connect()
+        subscriber = PolicySubscriber(actor, RUN, lambda _: arrived.release())
+        assert arrived.acquire(timeout=PATIENCE)
+        assert subscriber.newest() == _policy(9)
+    learner.close()
+    with subscriber, PolicyPublisher(listen(), RUN) as publisher:
+        publisher.publish(_policy(4))
+        assert arrived.acquire(timeout=PATIENCE)
+        assert subscriber.newest() == _policy(4)
+
+
+def test_learner_that_returns_with_a_clock_set_back_is_heard(
+    listen: Open, connect: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learner = listen()
+    publisher = NewestPublisher(learner, KEY)
+    publisher.publish(b"before")
+    arrived = threading.Semaphore(0)
+    with NewestSubscriber(connect(), KEY, lambda _: arrived.release()) as subscriber:
+        assert arrived.acquire(timeout=PATIENCE)
+        publisher.close()
+        learner.close()
+        monkeypatch.setattr("athrl_protocol.newest.new_incarnation", lambda: 1)
+        with NewestPublisher(listen(), KEY) as returned:
+            returned.publish(b"after")
+            assert arrived.acquire(timeout=PATIENCE)
+            assert subscriber.latest() == b"after"
+
+
+def test_policy_that_arrived_damaged_is_not_used(listen: Open, connect: Open, eventually: Eventually) -> None:
+    with (
+        NewestPublisher(listen(), Keys(RUN).policy) as publisher,
+        PolicySubscriber(connect(), RUN) as subscriber,
+    ):
+        right = hashlib.sha256(b"onnx").digest()
+        for message in (
+            athrl_pb2.Policy(version=1, artefact=b"onnx", sha256=right),
+            athrl_pb2.Policy(version=2, artefact=b"onno", sha256=right),
+            athrl_pb2.Policy(version=3, artefact=b"onnx", sha256=right, noise_scale=float("nan")),
+        ):
+            publisher.publish(encode_message(message))
+        publisher.publish(b"rubbish")
+        publisher.publish(encode_message(athrl_pb2.Policy(version=4, artefact=b"onnx", sha256=right)))
+        eventually(lambda: (subscriber.newest() or _policy(0)).version == 4)
+
+
+def test_damaged_newest_leaves_the_one_before(listen: Open, connect: Open) -> None:
+    seen: list[PolicyUpdate] = []
+    damaged = threading.Event()
+    with NewestPublisher(listen(), Keys(RUN).policy) as publisher:
+        session = connect()
+        with (
+            PolicySubscriber(session, RUN, seen.append) as subscriber,
+            NewestSubscriber(
+                session, Keys(RUN).policy, lambda value: damaged.set() if value == b"bad" else None
+            ),
+        ):
+            digest = hashlib.sha256(b"onnx").digest()
+            publisher.publish(encode_message(athrl_pb2.Policy(version=1, artefact=b"onnx", sha256=digest)))
+            assert subscriber.wait(PATIENCE) is not None
+            publisher.publish(b"bad")
+            assert damaged.wait(PATIENCE)
+            newest = subscriber.newest()
+            assert newest is not None
+            assert newest.version == 1
+    assert [policy.version for policy in seen] == [1]
+
+
+def test_large_policy_reaches_several_subscribers(listen: Open, connect: Open) -> None:
+    artefact = bytes(range(256)) * 2**14  # 4 MiB
+    with PolicyPublisher(listen(), RUN) as publisher:
+        subscribers = [PolicySubscriber(connect(), RUN) for _ in range(3)]
+        publisher.publish(_policy(1, artefact))
+        for subscriber in subscribers:
+            assert subscriber.wait(PATIENCE) == _policy(1, artefact)
+            subscriber.close()
+
+
+def test_state_of_the_run_arrives_with_its_phase(listen: Open, connect: Open) -> None:
+    state = RunState(Phase.TRAINING, 120, 40_000, 17, 3, "training waits for actors")
+    with StatePublisher(listen(), RUN) as publisher, StateSubscriber(connect(), RUN) as subscriber:
+        publisher.publish(state)
+        assert subscriber.wait(PATIENCE) == state
+
+
+def test_latecomer_gets_the_newest_result_of_every_driver(
+    listen: Open, connect: Open, eventually: Eventually
+) -> None:
+    listen()
+    results = {
+        (driver, version): EvaluationResult(
+            driver, version, 100, "town03", 7, {"return_mean": float(version)}
+        )
+        for driver, version in (("policy", 1), ("policy", 2), ("random", 0), ("rule-based", 0))
+    }
+    seen: list[EvaluationResult] = []
+    with EvaluationPublisher(connect(), RUN) as publisher:
+        for result in results.values():
+            publisher.publish(result)
+        with EvaluationSubscriber(connect(), RUN, seen.append):
+            eventually(lambda: len(seen) == 3)
+    assert {(result.driver, result.policy_version) for result in seen} == {
+        ("policy", 2),
+        ("random", 0),
+        ("rule-based", 0),
+    }
+    assert all(result == results[result.driver, result.policy_version] for result in seen)
+
+
+def test_two_evaluators_do_not_silence_each_other(
+    listen: Open, connect: Open, eventually: Eventually
+) -> None:
+    listen()
+    seen: list[EvaluationResult] = []
+    with (
+        EvaluationSubscriber(connect(), RUN, seen.append),
+        EvaluationPublisher(connect(), RUN, "first") as first,
+        EvaluationPublisher(connect(), RUN, "second") as second,
+    ):
+        for version, publisher in enumerate((first, second, first, second, first)):
+            publisher.publish(EvaluationResult("policy", version, 0, "town03", 0, {}))
+            eventually(lambda version=version: len(seen) == version + 1)
+
+
+def test_actor_starts_with_an_address_and_a_run_name_only(listen: Open, connect: Open) -> None:
+    run_file = read_run_file(None, [f"run.name={RUN}", "learner.batch=5"])
+    with serve_run_file(listen(), run_file):
+        assert fetch_run_file(connect(), RUN, PATIENCE) == run_file
+
+
+def test_run_that_does_not_exist_is_answered_with_those_that_do(
+    listen: Open, connect: Open, address: str
+) -> None:
+    with serve_run_file(listen(), RunFile()), pytest.raises(RunNotFound) as caught:
+        fetch_run_file(connect(), "town05", 0.2)
+    assert str(caught.value) == f"no run 'town05' at {address}: name one of those it has, town03"
+
+
+def test_learner_that_serves_nothing_is_named_after_the_timeout(
+    listen: Open, connect: Open, address: str
+) -> None:
+    listen()
+    with pytest.raises(LearnerNotFound, match=f"no learner serves run 'town03' at {address} within 0.3 s"):
+        fetch_run_file(connect(), "town03", 0.3)
+
+
+def test_run_file_that_comes_late_is_waited_for(listen: Open, connect: Open) -> None:
+    learner = listen()
+    served: list[NewestPublisher] = []
+    timer = threading.Timer(0.3, lambda: served.append(serve_run_file(learner, RunFile())))
+    timer.start()
+    try:
+        assert fetch_run_file(connect(), "town03", PATIENCE) == RunFile()
+    finally:
+        timer.join()
+        served[0].close()

@@ -1,0 +1,228 @@
+"""Chunks survive the wire unchanged, and nothing that is wrong gets through."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from athrl_protocol import Chunk, InvalidMessage, LevelColumns, athrl_pb2, decode_chunk, encode_chunk
+from athrl_protocol.chunk_codec import MAXIMUM_IMAGES_BYTES, with_oldest_held
+from hypothesis import given, settings
+from hypothesis import strategies as some
+from hypothesis.extra import numpy as arrays
+
+_finite = some.floats(-1e6, 1e6, width=32)
+_quick = settings(max_examples=40, deadline=None)
+
+
+@some.composite
+def chunks(draw: some.DrawFn) -> Chunk:
+    time = draw(some.integers(1, 12))
+    height, width, channels, motion = (draw(some.integers(1, 6)) for _ in range(4))
+
+    def floats(*shape: int) -> np.ndarray:
+        return draw(arrays.arrays(np.float32, shape, elements=_finite))
+
+    names = draw(
+        some.lists(some.sampled_from(["intention", "trajectory", "single"]), min_size=1, unique=True)
+    )
+    levels = {
+        name: LevelColumns(
+            floats(time, draw(some.integers(1, 3))), floats(time), floats(draw(some.integers(0, 5)))
+        )
+        for name in names
+    }
+    return Chunk(
+        actor=draw(some.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,20}", fullmatch=True)),
+        incarnation=draw(some.integers(0, 2**64 - 1)),
+        sequence=draw(some.integers(0, 2**63 - 1)),
+        environment=draw(some.integers(0, 2**32 - 1)),
+        episode_seed=draw(some.integers(0, 2**64 - 1)),
+        first_step=draw(some.integers(0, 2**32 - 1)),
+        length=draw(some.integers(1, time)),
+        images=draw(arrays.arrays(np.uint8, (time + 1, height, width, channels))),
+        motion=floats(time + 1, motion),
+        levels=levels,
+        policy_version=draw(arrays.arrays(np.int64, time, elements=some.integers(0, 2**63 - 1))),
+        terminated=draw(some.booleans()),
+        truncated=draw(some.booleans()),
+    )
+
+
+def _plain(chunk: Chunk) -> dict[str, Any]:
+    """Return the chunk with arrays as (type, shape, bytes), which can be compared."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return str(value.dtype), value.shape, value.tobytes()
+        if isinstance(value, dict):
+            return [(key, plain(item)) for key, item in value.items()]
+        return value
+
+    return {name: plain(value) for name, value in dataclasses.asdict(chunk).items()}
+
+
+@_quick
+@given(chunks())
+def test_decoded_chunk_equals_the_encoded_one(chunk: Chunk) -> None:
+    assert _plain(decode_chunk(encode_chunk(chunk))) == _plain(chunk)
+
+
+@_quick
+@given(chunks(), some.integers(0, 2**63 - 1))
+def test_oldest_held_is_added_without_encoding_again(chunk: Chunk, oldest_held: int) -> None:
+    decoded = decode_chunk(with_oldest_held(encode_chunk(chunk), oldest_held))
+    assert _plain(decoded) == _plain(dataclasses.replace(chunk, oldest_held=oldest_held))
+
+
+@_quick
+@given(some.binary(max_size=300))
+def test_random_bytes_are_refused(payload: bytes) -> None:
+    with pytest.raises(InvalidMessage):
+        decode_chunk(payload)
+
+
+@_quick
+@given(some.data())
+def test_damaged_message_is_refused_or_still_a_valid_chunk(data: some.DataObject) -> None:
+    payload = bytearray(encode_chunk(data.draw(chunks())))
+    for _ in range(data.draw(some.integers(1, 4))):
+        payload[data.draw(some.integers(0, len(payload) - 1))] = data.draw(some.integers(0, 255))
+    cut = data.draw(some.integers(1, len(payload)))
+    with contextlib.suppress(InvalidMessage):
+        encode_chunk(decode_chunk(bytes(payload[:cut])))
+
+
+def test_decoded_columns_are_read_only(make_chunk: Callable[..., Chunk]) -> None:
+    chunk = decode_chunk(encode_chunk(dataclasses.replace(make_chunk(), actor="a")))
+    columns = [chunk.images, chunk.motion, chunk.policy_version, chunk.levels["intention"].rewards]
+    assert not any(column.flags.writeable for column in columns)
+
+
+@pytest.mark.parametrize("column", ["motion", "actions", "rewards", "initial_state"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_number_that_is_not_finite_is_refused(
+    make_chunk: Callable[..., Chunk], column: str, value: float
+) -> None:
+    chunk = dataclasses.replace(make_chunk(), actor="a")
+    array = chunk.motion if column == "motion" else getattr(chunk.levels["trajectory"], column)
+    payload = encode_chunk(chunk)
+    place = payload.index(array.tobytes())
+    damaged = payload[:place] + np.float32(value).tobytes() + payload[place + 4 :]
+    with pytest.raises(InvalidMessage, match=f"{column} has numbers that are not finite") as caught:
+        decode_chunk(damaged)
+    assert caught.value.reason == "value"
+
+
+def _changed(make_chunk: Callable[..., Chunk], **fields: Any) -> bytes:
+    payload = encode_chunk(dataclasses.replace(make_chunk(), actor="a"))
+    message = athrl_pb2.Chunk.FromString(payload)
+    for name, value in fields.items():
+        setattr(message, name, value)
+    return message.SerializeToString()
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"time": 0}, "time 0"),
+        ({"time": 2**31}, "out of bounds"),
+        ({"time": 5}, "needs"),
+        ({"length": 0}, "length is 0, should be 1 to time = 4"),
+        ({"length": 5}, "length is 5, should be 1 to time = 4"),
+        ({"image_height": 9}, "images unpack to 1280 bytes"),
+        ({"image_height": 2**20}, f"should be 1 to {MAXIMUM_IMAGES_BYTES}"),
+        ({"image_channels": 0}, "images of 0 bytes"),
+        ({"motion_size": 3}, "motion has 40 bytes"),
+        ({"motion": b""}, "motion has 0 bytes"),
+        ({"policy_version": b"1234567"}, "policy_version has 7 bytes"),
+        ({"policy_version": (b"\xff" * 8) * 4}, "negative"),
+        ({"images": b"no zstd"}, "zstd"),
+        ({"images": b""}, "zstd"),
+        ({"actor": "a/b"}, "actor 'a/b' cannot be used"),
+        ({"actor": ""}, "cannot be used"),
+    ],
+)
+def test_wrong_shape_or_length_is_named(
+    make_chunk: Callable[..., Chunk], fields: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(InvalidMessage, match=text):
+        decode_chunk(_changed(make_chunk, **fields))
+
+
+def test_level_that_comes_twice_is_refused(make_chunk: Callable[..., Chunk]) -> None:
+    message = athrl_pb2.Chunk.FromString(_changed(make_chunk))
+    message.levels.append(message.levels[0])
+    with pytest.raises(InvalidMessage, match="level 'intention' comes twice"):
+        decode_chunk(message.SerializeToString())
+
+
+def test_chunk_without_levels_is_refused(make_chunk: Callable[..., Chunk]) -> None:
+    message = athrl_pb2.Chunk.FromString(_changed(make_chunk))
+    del message.levels[:]
+    with pytest.raises(InvalidMessage, match="0 levels"):
+        decode_chunk(message.SerializeToString())
+
+
+def test_bomb_is_refused_before_it_is_unpacked(
+    make_chunk: Callable[..., Chunk], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unpack(*_: object, **__: object) -> bytes:
+        raise AssertionError("a bomb was unpacked")
+
+    monkeypatch.setattr(
+        "athrl_protocol.chunk_codec._compression.decompressor", type("", (), {"decompress": unpack})
+    )
+    bomb = zstandard.ZstdCompressor(level=19).compress(bytes(MAXIMUM_IMAGES_BYTES))
+    assert len(bomb) < 10_000
+    for payload in (
+        _changed(make_chunk, images=bomb),
+        _changed(make_chunk, images=bomb, image_height=2**12, image_width=2**12),
+        # a frame that does not say how large its content is
+        _changed(make_chunk, images=zstandard.ZstdCompressor(write_content_size=False).compress(bytes(1280))),
+    ):
+        with pytest.raises(InvalidMessage) as caught:
+            decode_chunk(payload)
+        assert caught.value.reason == "size"
+
+
+def test_frame_that_lies_about_its_size_is_refused(make_chunk: Callable[..., Chunk]) -> None:
+    honest = zstandard.ZstdCompressor(level=1).compress(bytes(1280))
+    liar = bytearray(zstandard.ZstdCompressor(level=1).compress(bytes(100_000)))
+    assert (
+        honest[4] & 0xC0 == 0x40
+    )  # a content size of two bytes, the honest frame's goes into the liar's header
+    assert liar[4] & 0xC0 == 0x80  # of four bytes
+    liar[5:9] = (1280).to_bytes(4, "little")
+    assert zstandard.frame_content_size(bytes(liar)) == 1280
+    with pytest.raises(InvalidMessage):
+        decode_chunk(_changed(make_chunk, images=bytes(liar)))
+    with pytest.raises(InvalidMessage):
+        decode_chunk(_changed(make_chunk, images=honest + honest))
+
+
+def test_too_long_message_is_refused() -> None:
+    with pytest.raises(InvalidMessage, match="at most") as caught:
+        decode_chunk(bytes(2 * MAXIMUM_IMAGES_BYTES))
+    assert caught.value.reason == "size"
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"motion": np.zeros((5, 2))}, "motion is float64, should be float32"),
+        ({"motion": np.zeros((4, 2), np.float32)}, r"motion has shape \[4, 2\], should be \[5, any\]"),
+        ({"images": np.zeros((5, 8, 8), np.uint8)}, "images has shape"),
+        ({"sequence": -1}, "sequence is -1"),
+    ],
+)
+def test_wrong_chunk_is_not_encoded(
+    make_chunk: Callable[..., Chunk], change: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(InvalidMessage, match=text):
+        encode_chunk(dataclasses.replace(make_chunk(), actor="a", **change))

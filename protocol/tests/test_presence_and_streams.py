@@ -1,0 +1,161 @@
+"""Who is there, what they measure, and frames that flow only while somebody watches."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+import zenoh
+from athrl_protocol import (
+    Frame,
+    FramePublisher,
+    InvalidMessage,
+    Keys,
+    MetricsPublisher,
+    MetricsReport,
+    MetricsSubscriber,
+    Point,
+    PresenceWatcher,
+    ProtocolError,
+    Vehicle,
+    announce_presence,
+    decode_frame,
+    encode_frame,
+    subscribe_frames,
+)
+
+PATIENCE = 30.0
+RUN = "presence"
+Open = Callable[[], zenoh.Session]
+Eventually = Callable[[Callable[[], bool]], None]
+
+ACTOR = """
+import sys, threading
+from athrl_protocol import announce_presence, open_session
+with open_session(connect=sys.argv[1], timeout=30) as session:
+    presence = announce_presence(session, "presence", "actor", "a")
+    threading.Event().wait(60)
+"""
+
+
+def test_services_are_seen_whenever_they_come_and_until_they_go(listen: Open, connect: Open) -> None:
+    learner = listen()
+    with announce_presence(connect(), RUN, "actor", "early"), PresenceWatcher(learner, RUN) as watcher:
+        assert watcher.wait_for(lambda present: ("actor", "early") in present, PATIENCE)
+        with announce_presence(connect(), RUN, "evaluator", "late"):
+            assert watcher.wait_for(lambda present: len(present) == 2, PATIENCE)
+            assert watcher.present() == {("actor", "early"), ("evaluator", "late")}
+        assert watcher.wait_for(lambda present: present == {("actor", "early")}, PATIENCE)
+
+
+def test_killed_service_is_gone_from_the_set(address: str, listen: Open) -> None:
+    with PresenceWatcher(listen(), RUN) as watcher:
+        actor = subprocess.Popen([sys.executable, "-c", ACTOR, address])
+        try:
+            assert watcher.wait_for(lambda present: present == {("actor", "a")}, PATIENCE)
+        finally:
+            actor.kill()
+            actor.wait(PATIENCE)
+        assert watcher.wait_for(lambda present: not present, PATIENCE)
+
+
+def test_services_are_seen_again_by_a_learner_that_returned(listen: Open, connect: Open) -> None:
+    learner = listen()
+    watching = connect()
+    with announce_presence(connect(), RUN, "actor", "a"), PresenceWatcher(watching, RUN) as other:
+        assert other.wait_for(lambda present: present == {("actor", "a")}, PATIENCE)
+        learner.close()
+        with PresenceWatcher(listen(), RUN) as watcher:
+            assert watcher.wait_for(lambda present: present == {("actor", "a")}, PATIENCE)
+        assert other.wait_for(lambda present: present == {("actor", "a")}, PATIENCE)
+
+
+def test_change_of_presence_is_told(listen: Open, connect: Open, eventually: Eventually) -> None:
+    changes: list[frozenset[tuple[str, str]]] = []
+    with PresenceWatcher(listen(), RUN, changes.append):
+        with announce_presence(connect(), RUN, "actor", "a"):
+            eventually(lambda: len(changes) == 1)
+        eventually(lambda: len(changes) == 2)
+    assert changes == [frozenset({("actor", "a")}), frozenset()]
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "-a", "ä", "a" * 128, "a\n", "$*", "a#b"])
+def test_name_that_cannot_be_a_key_is_refused_in_one_line(name: str) -> None:
+    with pytest.raises(ProtocolError, match=r"name .* cannot be used: letters, digits"):
+        Keys(RUN).alive("actor", name)
+    with pytest.raises(ProtocolError, match=r"run name .* cannot be used"):
+        Keys(name)
+
+
+def test_metrics_of_every_service_arrive(listen: Open, connect: Open, eventually: Eventually) -> None:
+    reports: list[MetricsReport] = []
+    learner = listen()
+    with (
+        MetricsSubscriber(connect(), RUN, reports.append),
+        MetricsPublisher(learner, RUN, "learner", "learner") as publisher,
+        MetricsPublisher(connect(), RUN, "actor", "a") as other,
+    ):
+
+        def both_arrived() -> bool:
+            publisher.publish({"updates": 3, "loss": 0.25})
+            other.publish({"episodes": float("inf")})
+            return {report.role for report in list(reports)} == {"learner", "actor"}
+
+        learner.put(Keys(RUN).metrics("actor", "b"), b"rubbish")
+        eventually(both_arrived)
+    values = {report.role: report.values for report in reports}
+    assert values == {"learner": {"updates": 3.0, "loss": 0.25}, "actor": {"episodes": float("inf")}}
+    assert all(report.time > 1.7e9 for report in reports)
+
+
+def _frame(step: int) -> Frame:
+    return Frame(
+        driver="policy",
+        town="town03",
+        step=step,
+        ego=Vehicle(x=1, y=2, heading=0.5, speed=7, length=5, width=2),
+        route=[Point(x=1, y=2), Point(x=3, y=4)],
+        reward_terms={"speed": 1.5},
+        image_height=2,
+        image_width=2,
+        birdeye=bytes(12),
+        lidar=bytes(4),
+    )
+
+
+def test_frames_flow_only_while_somebody_watches(listen: Open, connect: Open, eventually: Eventually) -> None:
+    listen()
+    frames: list[Frame] = []
+    watcher = connect()
+    with FramePublisher(connect(), RUN, "actor", "a") as publisher:
+        assert not publisher.watched
+        for turn in range(2):
+            publisher.publish(_frame(99))  # nobody watches: goes nowhere
+            with subscribe_frames(watcher, RUN, "actor", "a", frames.append):
+                eventually(lambda: publisher.watched)
+                publisher.publish(_frame(turn))
+                eventually(lambda turn=turn: len(frames) == turn + 1)
+            eventually(lambda: not publisher.watched)
+    assert [frame.step for frame in frames] == [0, 1]
+    assert frames[0].route[1].y == 4
+
+
+def test_watcher_of_another_service_gets_nothing(listen: Open, connect: Open, eventually: Eventually) -> None:
+    learner = listen()
+    with (
+        FramePublisher(connect(), RUN, "actor", "a") as publisher,
+        FramePublisher(learner, RUN, "actor", "b") as other,
+        subscribe_frames(connect(), RUN, "actor", "b", lambda _: None),
+    ):
+        eventually(lambda: other.watched)
+        assert not publisher.watched
+
+
+def test_frame_with_images_of_another_size_is_refused() -> None:
+    assert decode_frame(encode_frame(_frame(3))).step == 3
+    frame = _frame(3)
+    frame.birdeye = bytes(11)
+    with pytest.raises(InvalidMessage, match="birdeye has 11 bytes, should have 12"):
+        decode_frame(encode_frame(frame))

@@ -1,0 +1,48 @@
+"""The schema: committed code is current, and programs of different schemas refuse each other."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import athrl_protocol
+import pytest
+from athrl_protocol import SCHEMA_HASH, SCHEMA_VERSION, InvalidMessage, athrl_pb2
+from athrl_protocol.schema import decode_message, encode_message
+
+PROTOCOL = Path(__file__).parents[1]
+
+
+def test_committed_code_is_what_the_schema_generates(tmp_path: Path) -> None:
+    specification = importlib.util.spec_from_file_location("generate", PROTOCOL / "generate.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    module.generate(tmp_path)
+    committed = Path(athrl_protocol.__file__).parent
+    for name in ("athrl_pb2.py", "athrl_pb2.pyi"):
+        assert (committed / name).read_text() == (tmp_path / name).read_text(), "run protocol/generate.py"
+
+
+def test_every_message_carries_version_and_hash() -> None:
+    message = athrl_pb2.Metrics.FromString(encode_message(athrl_pb2.Metrics(role="actor")))
+    assert (message.schema_version, message.schema_hash) == (SCHEMA_VERSION, SCHEMA_HASH)
+
+
+def test_every_message_that_travels_alone_begins_with_version_and_hash() -> None:
+    parts = {"Level", "Point", "Vehicle"}
+    for name, descriptor in athrl_pb2.DESCRIPTOR.message_types_by_name.items():
+        if name not in parts:
+            numbers = [(field.number, field.name) for field in descriptor.fields[:2]]
+            assert numbers == [(1, "schema_version"), (2, "schema_hash")], name
+
+
+@pytest.mark.parametrize("change", [{"schema_version": 2}, {"schema_hash": 1}])
+def test_message_of_another_schema_is_refused_by_name(change: dict[str, int]) -> None:
+    message = athrl_pb2.Metrics.FromString(encode_message(athrl_pb2.Metrics(role="actor")))
+    for name, value in change.items():
+        setattr(message, name, value)
+    with pytest.raises(InvalidMessage, match=r"Metrics: schema .* this program has schema") as caught:
+        decode_message(athrl_pb2.Metrics, message.SerializeToString())
+    assert caught.value.reason == "schema"
