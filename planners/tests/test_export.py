@@ -20,9 +20,9 @@ def trained(
     stack: Callable[[list[Sequence]], SequenceBatch],
 ) -> AtHRL:
     """An agent whose published actors have left their beginnings, where all actions are in the middle."""
-    agent = make_agent(learning_rate=1e-2, average_decay=0.5, actor_delay=1, saturation_penalty=0.5)
+    agent = make_agent(learning_rate=3e-3, average_decay=0.5, actor_delay=1, saturation_penalty=0.5)
     batch = stack([make_sequence(seed) for seed in range(4)])
-    for _ in range(20):
+    for _ in range(40):
         agent.update(batch)
     return agent
 
