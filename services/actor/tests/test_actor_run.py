@@ -176,6 +176,25 @@ def test_stopping_hands_over_the_open_chunks(learner, start: Start):
     assert len(last) == 2
 
 
+def test_an_actor_can_be_stopped_while_the_learner_is_away(
+    learner, start: Start, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("athrl_actor.actor.DRAIN_SECONDS", 0.2)
+    learner.publish(0)
+    service = start()
+    learner.wait_for_chunks(2)
+    learner.close()
+    service.stop.set()
+    service.join()
+    learner.open()
+
+
+def test_an_actor_that_waits_for_its_learner_can_be_stopped():
+    stop = threading.Event()
+    stop.set()
+    run_actor(connect="tcp/127.0.0.1:9", run="test", name="one", stop=stop)
+
+
 def test_an_actor_waits_for_the_first_policy_and_can_be_stopped_meanwhile(learner, start: Start):
     service = start()
     assert learner.presence.wait_for(lambda present: ("actor", "one") in present, 30)

@@ -180,7 +180,7 @@ class Evaluator(Onlooker):
         return score(results)
 
     def _take_result(self, driver: str, update: PolicyUpdate, scores: Scores) -> EvaluationResult:
-        """Publish and write down what a driver scored."""
+        """Write down what a driver scored, then publish it."""
         result = EvaluationResult(
             driver=driver,
             policy_version=update.version if driver == "policy" else 0,
@@ -189,9 +189,9 @@ class Evaluator(Onlooker):
             seed=self._settings.seed,
             scores=scores.as_dict(),
         )
-        self._results.publish(result)
         self._folder.add(result)
         self._files.add(f"evaluation/{driver}", result.scores, update.environment_steps, time.time())
+        self._results.publish(result)
         self._last_scores = result.scores
         log.info("%s, version %d: return %.0f", driver, update.version, scores.return_mean)
         return result

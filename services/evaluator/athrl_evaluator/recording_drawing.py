@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,7 +28,7 @@ def read_frames(path: Path) -> Iterator[Frame]:
                 if channel.topic == FRAME_TOPIC:
                     count += 1
                     yield decode_frame(message.data)
-        except McapError as error:
+        except (McapError, struct.error) as error:  # the latter where a file ends within a number
             if count == 0:
                 raise ValueError(f"{path} is not a recorded episode: {error}") from None
     if count == 0:

@@ -72,4 +72,6 @@ def student_quantile(degrees: int) -> float:
     if degrees <= len(_STUDENT):
         return _STUDENT[degrees - 1]
     normal = 1.95996
-    return normal + (normal**3 + normal) / (4 * degrees)
+    first = (normal**3 + normal) / 4
+    second = (5 * normal**5 + 16 * normal**3 + 3 * normal) / 96
+    return normal + first / degrees + second / degrees**2

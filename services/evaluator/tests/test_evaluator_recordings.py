@@ -1,0 +1,121 @@
+"""Recordings: self-describing, whole or marked as not, pruned, and drawn as a rerun file."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun_cli
+from athrl_evaluator.drivers import ReferenceDriver
+from athrl_evaluator.episodes import drive_episodes
+from athrl_evaluator.evaluate import make_batch
+from athrl_evaluator.onlookers import Recorder
+from athrl_evaluator.recording_drawing import draw_recording, read_frames
+from athrl_evaluator.recordings import EpisodeRecording, prune_recordings
+from athrl_protocol import Frame
+from athrl_protocol.run_file import EnvironmentSection
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+ENVIRONMENT = EnvironmentSection(vehicles=5, episode_ticks=40)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
+    folder = tmp_path_factory.mktemp("recordings")
+    driver = ReferenceDriver("rule-based", 2)
+    recorder = Recorder(driver, "town03", folder, episodes=2, kept=10)
+    results = drive_episodes(driver, make_batch(ENVIRONMENT, 2), [1, 2, 3], [recorder])
+    return folder, results
+
+
+def test_each_recorded_episode_is_one_file(recorded: tuple[Path, list]):
+    folder, _ = recorded
+    assert sorted(os.listdir(folder)) == ["rule-based-seed-1.mcap", "rule-based-seed-2.mcap"]
+
+
+def test_any_mcap_reader_can_read_it_without_our_schema(recorded: tuple[Path, list]):
+    folder, results = recorded
+    with (folder / "rule-based-seed-1.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        messages = list(reader.iter_decoded_messages())
+    by_topic: dict[str, list] = {}
+    for schema, channel, _, message in messages:
+        by_topic.setdefault(channel.topic, []).append((schema.name, message))
+    assert set(by_topic) == {"/frame", "/birdeye", "/lidar", "/ego", "/vehicles", "/route", "/waypoint"}
+    assert {name for name, _ in by_topic["/birdeye"]} == {"foxglove.RawImage"}
+    assert {name for name, _ in by_topic["/vehicles"]} == {"foxglove.PosesInFrame"}
+    frames = [message for _, message in by_topic["/frame"]]
+    assert len(frames) == results[0].ticks / 4
+    assert frames[-1].episode_return == pytest.approx(results[0].episode_return)
+    assert len(by_topic["/birdeye"][0][1].data) == 32 * 32 * 3
+    assert len(by_topic["/vehicles"][0][1].poses) == 5
+
+
+def test_frames_come_back_in_order_with_the_simulated_time(recorded: tuple[Path, list]):
+    frames = list(read_frames(recorded[0] / "rule-based-seed-2.mcap"))
+    assert [frame.step for frame in frames] == list(range(1, len(frames) + 1))
+    np.testing.assert_allclose(np.diff([frame.time for frame in frames]), 0.4, atol=1e-9)
+    assert all(frame.episode_seed == 2 and frame.driver == "rule-based" for frame in frames)
+
+
+def test_a_file_that_was_cut_off_gives_what_is_whole(recorded: tuple[Path, list], tmp_path: Path):
+    content = (recorded[0] / "rule-based-seed-1.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(content[: len(content) - 200])
+    assert len(list(read_frames(cut))) > 0
+
+
+def test_a_file_that_is_no_recording_is_named(tmp_path: Path):
+    file = tmp_path / "text.mcap"
+    file.write_text("no recording")
+    with pytest.raises(ValueError, match=r"text\.mcap is not a recorded episode"):
+        list(read_frames(file))
+
+
+def test_an_episode_that_is_given_up_leaves_no_file(tmp_path: Path):
+    recording = EpisodeRecording(tmp_path / "a.mcap")
+    recording.write(Frame(image_width=0, image_height=0))
+    assert os.listdir(tmp_path) == ["a.mcap.part"]
+    recording.abandon()
+    assert os.listdir(tmp_path) == []
+
+
+def test_the_oldest_recordings_go(tmp_path: Path):
+    for number in range(6):
+        file = tmp_path / f"{number}.mcap"
+        file.write_bytes(b"")
+        os.utime(file, ns=(number, 100 - number))
+    prune_recordings(tmp_path, 2)
+    assert sorted(os.listdir(tmp_path)) == ["0.mcap", "1.mcap"]
+
+
+def test_a_recording_becomes_a_rerun_file_with_the_whole_scene(recorded: tuple[Path, list], tmp_path: Path):
+    file = tmp_path / "episode.rrd"
+    draw_recording(recorded[0] / "rule-based-seed-1.mcap", file)
+    paths = entity_paths(file)
+    for entity in (
+        "/car/ego/body",
+        "/car/vehicles/outline",
+        "/car/route/line",
+        "/car/waypoint/point",
+        "/town/lanes",
+        "/sees/birdeye",
+        "/sees/lidar",
+        "/speed/actual",
+        "/speed/target",
+        "/reward/collision",
+        "/return/return",
+        "/episode",
+    ):
+        assert entity in paths
+
+
+def entity_paths(file: Path) -> str:
+    program = Path(rerun_cli.__file__).with_name("rerun")
+    subprocess.run([program, "rrd", "verify", file], check=True, timeout=60, capture_output=True)
+    printed = subprocess.run(
+        [program, "rrd", "print", file], check=True, timeout=60, capture_output=True, text=True
+    )
+    return printed.stdout

@@ -1,0 +1,178 @@
+"""An evaluator against a learner's end of the protocol, over real Zenoh on loopback."""
+
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from athrl_evaluator import run_evaluator
+from athrl_evaluator.recording_drawing import read_frames
+from athrl_protocol import Phase, subscribe_frames
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+JOIN_SECONDS = 60
+SCORES = {
+    "episodes",
+    "return_mean",
+    "return_ci95",
+    "speed_mps",
+    "distance_m",
+    "collision_rate",
+    "off_lane_rate",
+    "full_episode_rate",
+}
+
+
+class Service:
+    """An evaluator in a thread."""
+
+    def __init__(self, address: str, folder: Path) -> None:
+        self.stop = threading.Event()
+        self.error: Exception | None = None
+        self._arguments = {"connect": address, "run": "test", "name": "evaluator", "folder": folder}
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            run_evaluator(**self._arguments, stop=self.stop)  # type: ignore[arg-type]
+        except Exception as error:
+            self.error = error
+
+    def join(self) -> None:
+        self._thread.join(JOIN_SECONDS)
+        assert not self._thread.is_alive()
+        if self.error is not None:
+            raise self.error
+
+
+Start = Callable[[], Service]
+
+
+@pytest.fixture
+def start(learner, tmp_path: Path) -> Iterator[Start]:
+    services: list[Service] = []
+
+    def begin() -> Service:
+        services.append(Service(learner.address, tmp_path))
+        return services[-1]
+
+    yield begin
+    for service in services:
+        service.stop.set()
+        service.join()
+
+
+def test_each_new_version_is_scored_recorded_and_published(learner, start: Start, tmp_path: Path):
+    learner.publish(0)
+    start()
+    first = learner.wait_for_result(0)
+    learner.publish(4)
+    second = learner.wait_for_result(4)
+    assert (first.driver, first.town, first.seed) == ("policy", "town03", 1_000_000)
+    assert set(first.scores) == SCORES
+    assert second.scores == first.scores  # the same weights on the same seeds
+    assert second.environment_steps == 400
+    names = os.listdir(tmp_path / "test" / "recordings")
+    assert sorted(name for name in names if name.endswith(".mcap")) == [
+        f"policy-{version:06d}-seed-{seed}.mcap"
+        for version in (0, 4)
+        for seed in (1_000_000, 1_000_001, 1_000_002)
+    ]
+    lines = (tmp_path / "test" / "evaluations.jsonl").read_text().splitlines()
+    assert [json.loads(line)["policy_version"] for line in lines] == [0, 4]
+
+
+def test_a_finished_run_is_compared_with_the_reference_drivers(learner, start: Start, tmp_path: Path):
+    learner.publish(7)
+    learner.announce(Phase.FINISHED, 7)
+    start().join()
+    comparison = json.loads((tmp_path / "test" / "evaluation.json").read_text())
+    assert set(comparison["drivers"]) == {"policy", "random", "blind", "rule-based"}
+    assert all(set(scores) == SCORES for scores in comparison["drivers"].values())
+    assert all(scores["episodes"] == 2 for scores in comparison["drivers"].values())
+    assert (comparison["policy_version"], comparison["environment_steps"]) == (7, 700)
+    published = {result.driver: result.scores for result in learner.results}
+    assert published == comparison["drivers"]
+    assert not list((tmp_path / "test" / "recordings").glob("*.part"))
+
+
+def test_the_comparison_waits_for_the_runs_last_policy(learner, start: Start, tmp_path: Path):
+    learner.publish(7)
+    learner.announce(Phase.FINISHED, 8)
+    service = start()
+    assert learner.presence.wait_for(lambda present: ("evaluator", "evaluator") in present, 60)
+    learner.publish(8)
+    service.join()
+    assert json.loads((tmp_path / "test" / "evaluation.json").read_text())["policy_version"] == 8
+
+
+def test_everybodys_metrics_and_the_scores_are_in_tensorboard(learner, start: Start, tmp_path: Path):
+    learner.announce(Phase.TRAINING, 3)
+    learner.publish(3)
+    service = start()
+    learner.wait_for_result(3)
+    learner.metrics.publish({"updates": 30.0, "broken": float("nan")})
+    learner.publish(4)
+    learner.wait_for_result(4)
+    service.stop.set()
+    service.join()
+    events = EventAccumulator(str(tmp_path / "test" / "tensorboard"))
+    events.Reload()
+    (metric,) = events.Scalars("learner/learner/updates")
+    assert (metric.step, metric.value) == (300, 30.0)
+    assert "learner/learner/broken" not in events.Tags()["scalars"]
+    returns = events.Scalars("evaluation/policy/return_mean")
+    assert [event.step for event in returns] == [300, 400]
+
+
+def test_an_invalid_policy_is_passed_over(learner, start: Start):
+    learner.publish(1, artefact=b"no policy")
+    service = start()
+    learner.publish(2)
+    learner.wait_for_result(2)
+    assert service.error is None
+
+
+def test_stopping_in_the_middle_of_an_evaluation_leaves_nothing_half_done(
+    learner, start: Start, tmp_path: Path
+):
+    learner.publish(0)
+    service = start()
+    recordings = tmp_path / "test" / "recordings"
+    while not recordings.is_dir() or not os.listdir(recordings):
+        assert service.error is None
+    service.stop.set()
+    service.join()
+    assert not list(recordings.glob("*.part"))
+    for file in recordings.glob("*.mcap"):
+        assert list(read_frames(file))
+
+
+def test_the_evaluator_can_be_stopped_while_the_learner_is_away(learner, start: Start):
+    learner.publish(0)
+    service = start()
+    learner.wait_for_result(0)
+    learner.close()
+    service.stop.set()
+    service.join()
+
+
+def test_the_first_episode_is_shown_to_whoever_watches(learner, start: Start):
+    learner.publish(5)
+    start()
+    learner.wait_for_result(5)
+    frames: list = []
+    several = threading.Event()
+
+    def take(frame) -> None:
+        frames.append(frame)
+        if len(frames) == 3:
+            several.set()
+
+    with subscribe_frames(learner.session, "test", "evaluator", "evaluator", take):
+        assert several.wait(60)
+    assert [frame.step for frame in frames[:3]] == [1, 2, 3]
+    assert {(frame.policy_version, frame.episode_seed) for frame in frames} == {(5, 1_000_000)}

@@ -1,0 +1,58 @@
+"""Scores are what their names say."""
+
+import numpy as np
+import pytest
+from athrl_evaluator import EpisodeResult
+from athrl_evaluator.scores import score, student_quantile
+
+
+def episode(episode_return: float, **changes: object) -> EpisodeResult:
+    values = {
+        "distance": 100.0,
+        "ticks": 500,
+        "speed": 2.0,
+        "collision": False,
+        "off_lane": False,
+        "full": True,
+    }
+    return EpisodeResult(seed=1, episode_return=episode_return, **(values | changes))  # type: ignore[arg-type]
+
+
+def test_rates_and_means_are_over_episodes():
+    scores = score(
+        [
+            episode(10.0),
+            episode(20.0, collision=True, full=False),
+            episode(30.0, off_lane=True, full=False),
+            episode(40.0, distance=300.0),
+        ]
+    )
+    assert scores.episodes == 4
+    assert scores.return_mean == 25.0
+    assert scores.distance_m == 150.0
+    assert (scores.collision_rate, scores.off_lane_rate, scores.full_episode_rate) == (0.25, 0.25, 0.5)
+
+
+def test_the_mean_speed_weighs_every_tick_alike():
+    assert score([episode(0.0, speed=8.0, ticks=100), episode(0.0, speed=2.0, ticks=500)]).speed_mps == 3.0
+
+
+def test_the_interval_holds_the_true_mean_in_95_of_100_cases():
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(2000):
+        scores = score([episode(value) for value in rng.normal(7.0, 3.0, 5)])
+        inside += abs(scores.return_mean - 7.0) <= scores.return_ci95
+    assert inside / 2000 == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "value"), [(1, 12.706), (7, 2.365), (30, 2.042), (39, 2.023), (1000, 1.962)]
+)
+def test_students_quantiles_are_those_of_the_tables(degrees: int, value: float):
+    assert student_quantile(degrees) == pytest.approx(value, abs=1e-3)
+
+
+def test_one_episode_has_no_interval():
+    with pytest.raises(ValueError, match="at least 2 episodes"):
+        score([episode(1.0)])
