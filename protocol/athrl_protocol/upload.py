@@ -2,8 +2,9 @@
 
 Every chunk is a query and is held until the learner has acknowledged it. Silence means that the link or
 the learner died: everything held is sent again from the oldest on, ten times a second until somebody
-answers. At most as many queries are under way as the learner gives credits. What is held is bounded;
-when the bound is reached the actor waits.
+answers. What is held is bounded, and when the bound is reached the actor waits: while nobody answers it is
+the capacity; while the learner answers it is the credits it gives, so an actor that is told "busy" stops
+driving instead of piling up experience of an old policy.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class ChunkUploader:
         run: name of the run.
         actor: name of the actor.
         incarnation: of this process, from `new_incarnation`; a restarted actor needs a new one.
-        capacity: chunks that are held at most.
+        capacity: chunks that are held at most while the learner is away.
     """
 
     def __init__(self, session: zenoh.Session, run: str, actor: str, incarnation: int, capacity: int) -> None:
@@ -68,6 +69,7 @@ class ChunkUploader:
         self._changed = threading.Condition()
         self._under_way: deque[_UnderWay] = deque()  # of the thread alone
         self._credits = 1
+        self._answered = False  # whether the learner answered what was sent last
         self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
         self._finished = False
         self._closed = threading.Event()
@@ -98,8 +100,8 @@ class ChunkUploader:
             InvalidMessage: the chunk itself is not valid.
         """
         with self._changed:
-            self._changed.wait_for(lambda: not self._window.is_full or self._is_over(), timeout)
-            if self._window.is_full or self._is_over():
+            self._changed.wait_for(lambda: not self._is_full or self._is_over(), timeout)
+            if self._is_full or self._is_over():
                 return False
             numbered = dataclasses.replace(
                 chunk,
@@ -143,6 +145,10 @@ class ChunkUploader:
     ) -> None:
         self.close()
 
+    @property
+    def _is_full(self) -> bool:
+        return self._window.is_full or (self._answered and len(self._window) >= self._credits)
+
     def _is_over(self) -> bool:
         return self._finished or self._closed.is_set()
 
@@ -179,6 +185,9 @@ class ChunkUploader:
     def _settle(self, oldest: _UnderWay) -> None:
         """Wait for the answer to the oldest query and act on it."""
         outcome = self._outcome_of(oldest)
+        with self._changed:
+            self._answered = outcome is not _Outcome.SILENCE
+            self._changed.notify_all()
         if outcome is _Outcome.GO_ON:
             self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
             return

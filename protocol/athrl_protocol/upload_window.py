@@ -39,10 +39,13 @@ class UploadWindow:
         self._resent = 0
         self._given_up = 0
 
+    def __len__(self) -> int:
+        return len(self._held)
+
     @property
     def is_full(self) -> bool:
         """Whether no further chunk fits."""
-        return len(self._held) >= self._capacity
+        return len(self) >= self._capacity
 
     @property
     def is_empty(self) -> bool:

@@ -100,6 +100,29 @@ def test_uploader_goes_on_when_its_learner_returns(
     assert store.marks == list(range(24))
 
 
+def test_actor_runs_ahead_of_an_absent_learner_but_not_of_a_busy_one(
+    connect: Open, listen: Open, make_chunk: Make, store: _Store, eventually: Callable[..., None]
+) -> None:
+    session = listen()
+    with ChunkUploader(connect(), RUN, "actor-0", new_incarnation(), capacity=40) as uploader:
+        with ChunkIntake(session, RUN, store) as intake:
+            _submit(uploader, make_chunk, range(1))
+            assert uploader.flush(PATIENCE)
+            store.refuse = IntakeBusy()
+            held = 0
+            while uploader.submit(make_chunk(1 + held), 0.2):
+                held += 1
+            # what is held while the learner is busy is of an old policy when it arrives
+            assert 1 <= held < 40
+            assert store.marks == [0]
+        session.close()
+        _submit(uploader, make_chunk, range(1 + held, 41))  # now nobody answers
+        store.refuse = None
+        with ChunkIntake(listen(), RUN, store, intake.ledger()):
+            assert uploader.flush(PATIENCE)
+    assert store.marks == list(range(41))
+
+
 def test_uploader_survives_kills_of_a_learner_in_another_process(
     address: str, connect: Open, make_chunk: Make, tmp_path: Path
 ) -> None:
