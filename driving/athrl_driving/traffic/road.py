@@ -50,11 +50,6 @@ class TrafficRoad(Road):
         """The arrays of the background vehicles."""
         return self.traffic.background
 
-    @property
-    def time(self) -> float:
-        """Seconds since the episode's start."""
-        return float(self.traffic.scratch.clock[0])
-
     def spawn_background(
         self, keep_clear_of: tuple[float, float] | None = None, clearance: float = 8.0
     ) -> None:
