@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .compilation import compiled
 from .maps.geometry import lane_pose, lane_project
 from .maps.lane_graph import LaneGraph
 
@@ -23,7 +23,7 @@ KEPT_BEHIND = 20.0
 _KNOWN_AHEAD = (WAYPOINTS_KNOWN + 1) * WAYPOINT_SPACING + 15.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def follow_lanes(
     graph: LaneGraph, lanes: NDArray[np.int64], index: int, x: float, y: float
 ) -> tuple[int, float, float]:
@@ -35,7 +35,7 @@ def follow_lanes(
     return index, position, lateral
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def poses_on_lanes(
     graph: LaneGraph,
     lanes: NDArray[np.int64],

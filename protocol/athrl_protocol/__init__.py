@@ -20,12 +20,14 @@ from athrl_protocol.errors import (
     AddressInUse,
     InvalidMessage,
     LearnerNotFound,
+    NameTaken,
     ProtocolError,
     RunFileError,
     RunNotFound,
 )
 from athrl_protocol.frame import Frame, Point, Vehicle, decode_frame, encode_frame
 from athrl_protocol.intake import ChunkIntake, IntakeBusy, IntakeFinished, IntakeStatistics
+from athrl_protocol.joining import join_run
 from athrl_protocol.keys import Keys, check_name, new_incarnation
 from athrl_protocol.live import FramePublisher, FrameSubscription, subscribe_frames
 from athrl_protocol.metrics import MetricsPublisher, MetricsReport, MetricsSubscriber
@@ -60,6 +62,7 @@ __all__ = [
     "MetricsPublisher",
     "MetricsReport",
     "MetricsSubscriber",
+    "NameTaken",
     "NewestPublisher",
     "NewestSubscriber",
     "Phase",
@@ -88,6 +91,7 @@ __all__ = [
     "encode_chunk",
     "encode_frame",
     "fetch_run_file",
+    "join_run",
     "new_incarnation",
     "open_session",
     "read_run_file",

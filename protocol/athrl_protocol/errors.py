@@ -19,6 +19,10 @@ class RunNotFound(ProtocolError):  # noqa: N818
     """The address serves other runs, not this one."""
 
 
+class NameTaken(ProtocolError):  # noqa: N818
+    """Another live service of the run has this role and name."""
+
+
 class RunFileError(ProtocolError):
     """The run file, or an override of one of its keys, is wrong."""
 

@@ -2,11 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
 from athrl_protocol.athrl_pb2 import Frame, Point, Vehicle
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.schema import decode_message, encode_message
 
-__all__ = ["Frame", "Point", "Vehicle", "decode_frame", "encode_frame"]
+__all__ = ["Frame", "Point", "Scene", "Vehicle", "decode_frame", "encode_frame", "frame_of"]
+
+
+class Scene(Protocol):
+    """What a frame takes from a moment of a simulation; positions in town coordinates, metres."""
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since the episode began."""
+
+    @property
+    def ego(self) -> Any:
+        """The ego, an object with the attributes of the message `Vehicle`."""
+
+    @property
+    def vehicles(self) -> Sequence[Any]:
+        """The others."""
+
+    @property
+    def route(self) -> np.ndarray:
+        """float64 [waypoints, 2]"""
+
+    @property
+    def waypoint(self) -> np.ndarray:
+        """float64 [2], the planner's"""
+
+    @property
+    def target_speed(self) -> float:
+        """m/s"""
+
+    @property
+    def steering(self) -> float:
+        """rad"""
+
+    @property
+    def acceleration(self) -> float:
+        """m/s2"""
+
+    @property
+    def reward_terms(self) -> Mapping[str, float]:
+        """Weighted terms that sum to the reward."""
+
+
+def frame_of(
+    scene: Scene,
+    image: np.ndarray,
+    *,
+    driver: str,
+    town: str,
+    policy_version: int,
+    episode_seed: int,
+    step: int,
+    intention: float,
+    reward: float,
+    episode_return: float,
+) -> Frame:
+    """Describe a moment; `image` uint8 [height, width, 4] is what the planner sees of it."""
+    height, width = image.shape[:2]
+    return Frame(
+        driver=driver,
+        town=town,
+        policy_version=policy_version,
+        episode_seed=episode_seed,
+        step=step,
+        time=scene.time,
+        ego=Vehicle(**vars(scene.ego)),
+        vehicles=[Vehicle(**vars(vehicle)) for vehicle in scene.vehicles],
+        route=[Point(x=x, y=y) for x, y in scene.route.tolist()],
+        waypoint=Point(x=float(scene.waypoint[0]), y=float(scene.waypoint[1])),
+        target_speed=scene.target_speed,
+        intention=intention,
+        steering=scene.steering,
+        acceleration=scene.acceleration,
+        reward=reward,
+        reward_terms=scene.reward_terms,
+        episode_return=episode_return,
+        image_height=height,
+        image_width=width,
+        birdeye=np.ascontiguousarray(image[:, :, :3]).tobytes(),
+        lidar=np.ascontiguousarray(image[:, :, 3]).tobytes(),
+    )
 
 
 def encode_frame(frame: Frame) -> bytes:

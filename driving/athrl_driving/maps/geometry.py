@@ -6,7 +6,7 @@ line from the lane's start, lateral positive to the driver's right. Headings are
 
 import math
 
-from athrl_driving.maps.compilation import compiled
+from athrl_driving.compilation import compiled
 from athrl_driving.maps.lane_graph import LaneGraph
 
 

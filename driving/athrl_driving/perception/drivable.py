@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compilation import compiled
 from ..maps import LaneGraph, load_town
 from ..maps.geometry import lane_project
 from .window import forward_of, right_of
@@ -60,7 +60,7 @@ def draw_drivable_map(graph: LaneGraph) -> DrivableMap:
     return DrivableMap(np.round(share * 255).astype(np.uint8), float(left), float(top))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _draw_lanes(graph: LaneGraph, left: float, top: float, samples: NDArray[np.bool_]) -> None:
     """Set the sample points that lie on a lane."""
     step = CELL / _SAMPLES
@@ -80,7 +80,7 @@ def _draw_lanes(graph: LaneGraph, left: float, top: float, samples: NDArray[np.b
                 )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def sample_drivable_map(
     image: NDArray[np.uint8],
     cells: NDArray[np.uint8],

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compilation import compiled
 from ..maps import LaneGraph
 from ..route import Route
 from .drivable import DrivableMap, sample_drivable_map
@@ -66,7 +66,7 @@ class Perception:
         )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draw_image(
     size: int,
     cells: NDArray[np.uint8],

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compilation import compiled, inlined
 from .window import column_of, row_of
 
 RAYS = 180
@@ -20,7 +20,7 @@ LIDAR_RANGE = 40.0
 """How far a ray reaches, m."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def lidar_distances(
     ego_x: float,
     ego_y: float,
@@ -61,7 +61,7 @@ def lidar_distances(
     return distances
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _distance_to_box(
     along: float, across: float, step_along: float, step_across: float, half_length: float, half_width: float
 ) -> float:
@@ -80,7 +80,7 @@ def _distance_to_box(
     return near if near <= far else np.inf
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draw_lidar(image: NDArray[np.uint8], pixel: float, distances: NDArray[np.float64]) -> None:
     """Mark on channel 3 the pixels where rays ended."""
     spacing = 2 * math.pi / RAYS

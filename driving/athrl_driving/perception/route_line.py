@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compilation import compiled
 from ..maps import LaneGraph
 from ..maps.geometry import lane_pose
 from .window import column_of, row_of
@@ -22,7 +22,7 @@ LINE_BEHIND, LINE_AHEAD = 20.0, 36.0
 """Stretch of the route that can be inside the window, m; 36 m ahead leave it even on a bend."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draw_route(
     image: NDArray[np.uint8],
     pixel: float,

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compilation import compiled
 from .window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE, column_of, forward_of, right_of, row_of
 
 FORESIGHT_INTERVAL = 0.25
@@ -29,7 +29,7 @@ STANDING_SPEED = 0.2
 """Below this speed (m/s) a vehicle counts as standing."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draw_body(
     image: NDArray[np.uint8],
     channel: int,
@@ -62,7 +62,7 @@ def draw_body(
                 image[row, column, channel] = value
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draw_vehicles(
     image: NDArray[np.uint8],
     pixel: float,

@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.maps.compilation import compiled
+from athrl_driving.compilation import compiled
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.traffic.state import NOBODY, Background
 

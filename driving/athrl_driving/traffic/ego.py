@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.maps.compilation import inlined
+from athrl_driving.compilation import inlined
 from athrl_driving.maps.geometry import lane_project
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
 from athrl_driving.traffic.state import EgoOnLanes

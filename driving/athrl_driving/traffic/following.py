@@ -4,7 +4,7 @@ import math
 
 from highway_env.vehicle.behavior import IDMVehicle
 
-from athrl_driving.maps.compilation import compiled
+from athrl_driving.compilation import compiled
 
 COMFORT_ACCELERATION = float(IDMVehicle.COMFORT_ACC_MAX)
 COMFORT_DECELERATION = float(-IDMVehicle.COMFORT_ACC_MIN)

@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.maps.compilation import inlined
+from athrl_driving.compilation import inlined
 from athrl_driving.maps.lane_graph import Integers, LaneGraph, Movements
 from athrl_driving.traffic.state import NOBODY, Background, EgoOnLanes, RightOfWay, Scratch
 

@@ -2,7 +2,7 @@
 
 from numba import uint64
 
-from athrl_driving.maps.compilation import inlined
+from athrl_driving.compilation import inlined
 from athrl_driving.maps.lane_graph import LaneGraph
 from athrl_driving.traffic.state import PATH_LENGTH, Background
 

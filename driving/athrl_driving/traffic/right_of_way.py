@@ -10,7 +10,7 @@ where it drives without asking, what it covers is taken.
 
 import math
 
-from athrl_driving.maps.compilation import inlined
+from athrl_driving.compilation import inlined
 from athrl_driving.maps.lane_graph import LaneGraph, Movements
 from athrl_driving.traffic.paths import plan_from
 from athrl_driving.traffic.state import NOBODY, PATH_LENGTH, Background, EgoOnLanes, RightOfWay, Scratch

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.maps.compilation import compiled
+from athrl_driving.compilation import compiled
 from athrl_driving.maps.geometry import lane_pose
 from athrl_driving.maps.lane_graph import Floats, LaneGraph
 from athrl_driving.traffic.paths import plan_from

@@ -7,7 +7,7 @@ decides which one they take. All decisions see the state before the tick.
 
 import math
 
-from athrl_driving.maps.compilation import compiled, inlined
+from athrl_driving.compilation import compiled, inlined
 from athrl_driving.maps.geometry import lane_pose
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph, Movements
 from athrl_driving.traffic.ego import cover_lanes, forget_ego, locate_on_path

@@ -1,6 +1,5 @@
 """Drives environments with the newest policy and streams what happens."""
 
 from athrl_actor.actor import run_actor
-from athrl_actor.joining import NameTaken
 
-__all__ = ["NameTaken", "run_actor"]
+__all__ = ["run_actor"]

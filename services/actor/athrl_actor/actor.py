@@ -24,15 +24,16 @@ from athrl_protocol import (
     PolicySubscriber,
     PolicyUpdate,
     StateSubscriber,
+    join_run,
     new_incarnation,
 )
 from athrl_protocol.run_file import EnvironmentSection, RunFile
 
-from athrl_actor.frames import frame_of
-from athrl_actor.joining import ROLE, join_run
+from athrl_actor.frames import frame_of_moment
 from athrl_actor.rollout import Moment, Rollout
 from athrl_actor.seeds import ActorSeeds
 
+ROLE = "actor"
 METRICS_SECONDS = 1.0
 POLL_SECONDS = 0.2
 DRAIN_SECONDS = 5.0  # for handing over what is left at the end
@@ -47,7 +48,7 @@ def run_actor(*, connect: str, run: str, name: str | None, stop: threading.Event
     a `name` one is made), and InvalidPolicy when the run's policy cannot be run.
     """
     with ExitStack() as stack:
-        joined = join_run(connect=connect, run=run, name=name, stop=stop, stack=stack)
+        joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)
         if joined is None:
             return
         session, run_file, taken = joined
@@ -169,7 +170,7 @@ class Actor:
         return values
 
     def _show(self, moment: Moment) -> None:
-        self._frames.publish(frame_of(self._run_file.environment.town, moment))
+        self._frames.publish(frame_of_moment(self._run_file.environment.town, moment))
 
 
 def _make_batch(section: EnvironmentSection, count: int) -> EnvironmentBatch:

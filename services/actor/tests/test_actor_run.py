@@ -7,8 +7,16 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from athrl_actor import NameTaken, run_actor
-from athrl_protocol import Chunk, Phase, RunNotFound, announce_presence, open_session, subscribe_frames
+from athrl_actor import run_actor
+from athrl_protocol import (
+    Chunk,
+    NameTaken,
+    Phase,
+    RunNotFound,
+    announce_presence,
+    open_session,
+    subscribe_frames,
+)
 
 JOIN_SECONDS = 60
 
@@ -206,7 +214,7 @@ def test_an_actor_waits_for_the_first_policy_and_can_be_stopped_meanwhile(learne
 def test_a_taken_name_is_an_error_that_says_what_to_do(
     learner, start: Start, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("athrl_actor.joining.NAME_SECONDS", 0.2)
+    monkeypatch.setattr("athrl_protocol.joining.NAME_SECONDS", 0.2)
     with (
         open_session(connect=learner.address, timeout=5) as session,
         announce_presence(session, "test", "actor", "one"),

@@ -3,13 +3,11 @@
 from athrl_evaluator.drivers import REFERENCE_DRIVERS
 from athrl_evaluator.evaluate import evaluate_driver
 from athrl_evaluator.evaluator import run_evaluator
-from athrl_evaluator.joining import NameTaken
 from athrl_evaluator.scores import EpisodeResult, Scores
 
 __all__ = [
     "REFERENCE_DRIVERS",
     "EpisodeResult",
-    "NameTaken",
     "Scores",
     "evaluate_driver",
     "run_evaluator",

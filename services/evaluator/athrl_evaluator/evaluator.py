@@ -27,6 +27,7 @@ from athrl_protocol import (
     PolicyUpdate,
     RunState,
     StateSubscriber,
+    join_run,
 )
 from athrl_protocol.run_file import RunFile
 
@@ -35,7 +36,6 @@ from athrl_evaluator.drivers import REFERENCE_DRIVERS
 from athrl_evaluator.episodes import EpisodeStep, Onlooker, Stopped, drive_episodes
 from athrl_evaluator.evaluate import make_batch, make_batch_driver
 from athrl_evaluator.event_files import EventFiles
-from athrl_evaluator.joining import join_run
 from athrl_evaluator.onlookers import Recorder
 from athrl_evaluator.results import ResultsFolder
 from athrl_evaluator.scores import Scores, score
@@ -56,7 +56,7 @@ def run_evaluator(*, connect: str, run: str, name: str | None, folder: Path, sto
     another live evaluator has the name.
     """
     with ExitStack() as stack:
-        joined = join_run(connect=connect, run=run, name=name, stop=stop, stack=stack)
+        joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)
         if joined is None:
             return
         session, run_file, name = joined

@@ -9,7 +9,7 @@ from athrl_protocol import Frame
 from athrl_evaluator.broadcast import Broadcast
 from athrl_evaluator.drivers import BatchDriver
 from athrl_evaluator.episodes import EpisodeStep, Onlooker
-from athrl_evaluator.frames import frame_of
+from athrl_evaluator.frames import frame_of_step
 from athrl_evaluator.recordings import EpisodeRecording, prune_recordings
 from athrl_evaluator.scores import EpisodeResult
 
@@ -41,7 +41,7 @@ class Recorder(Onlooker):
         """Write a frame."""
         if step.index >= self._episodes:
             return
-        frame = frame_of(self._driver, self._town, step)
+        frame = frame_of_step(self._driver, self._town, step)
         if step.index not in self._open:
             self._open[step.index] = EpisodeRecording(self._folder / self._file_name(step.seed))
         self._open[step.index].write(frame)

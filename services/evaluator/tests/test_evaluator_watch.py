@@ -65,7 +65,7 @@ def test_frames_reach_a_viewer_of_the_rerun_server(learner, tmp_path: Path):
     file = tmp_path / "seen.rrd"
     try:
         with FramePublisher(learner.session, "test", "actor", "one") as publisher:
-            deadline = time.monotonic() + 60
+            deadline = time.monotonic() + 150
             while not publisher.watched:
                 assert time.monotonic() < deadline
                 time.sleep(0.01)
@@ -109,7 +109,7 @@ def test_watching_ends_when_the_viewer_is_closed(learner, monkeypatch: pytest.Mo
     watching = threading.Thread(target=watch, kwargs=arguments | {"serve": free_port()}, daemon=True)
     watching.start()
     with FramePublisher(learner.session, "test", "actor", "one") as publisher:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 150
         while not publisher.watched:
             assert time.monotonic() < deadline
             time.sleep(0.01)

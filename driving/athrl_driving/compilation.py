@@ -16,8 +16,8 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_KERNEL_FOLDERS = ("maps", "traffic", "perception")
-_PACKAGE = Path(__file__).resolve().parent.parent
+_KERNEL_FILES = ("route.py", "maps/*.py", "traffic/*.py", "perception/*.py")
+_PACKAGE = Path(__file__).resolve().parent
 
 
 def compiled(function: Function) -> Function:
@@ -51,8 +51,8 @@ def cache_folder() -> str:
 
 def _fingerprint() -> str:
     digest = hashlib.sha256()
-    for folder in _KERNEL_FOLDERS:
-        for path in sorted((_PACKAGE / folder).glob("*.py")):
+    for pattern in _KERNEL_FILES:
+        for path in sorted(_PACKAGE.glob(pattern)):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
