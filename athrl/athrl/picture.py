@@ -20,7 +20,7 @@ def draw(snapshot: RunSnapshot, where_to_look: list[str]) -> RenderableType:
     rows.add_row("learner", _learner(snapshot))
     for name, values in snapshot.of_role("actor").items():
         rows.add_row(f"actor {name}", _actor(snapshot, name, values))
-    if not snapshot.of_role("actor"):
+    if not snapshot.of_role("actor") and not snapshot.finished:
         rows.add_row("actors", Text("none is here", style="yellow"))
     rows.add_row("evaluator", _evaluations(snapshot))
     foot = [Text(line, style="dim") for line in where_to_look]
@@ -106,12 +106,24 @@ def _evaluations(snapshot: RunSnapshot) -> RenderableType:
     result = snapshot.evaluations.get("policy")
     if result is None:
         return "no policy scored yet"
+    if snapshot.finished:
+        others = [f"{driver} {_mean_return(scores)}" for driver, scores in _reference_scores(snapshot)]
+        return " · ".join(["closing comparison", f"policy {_mean_return(result.scores)}", *others])
     return f"policy {result.policy_version} of step {result.environment_steps:,}: {_score(result.scores)}"
+
+
+def _reference_scores(snapshot: RunSnapshot) -> list[tuple[str, dict[str, float]]]:
+    """Scores of the drivers that the closing comparison has reached."""
+    return [(name, result.scores) for name, result in snapshot.evaluations.items() if name != "policy"]
+
+
+def _mean_return(scores: dict[str, float]) -> str:
+    return f"{_number(scores.get('return_mean'))} ± {_number(scores.get('return_ci95'))}"
 
 
 def _score(scores: dict[str, float]) -> str:
     return (
-        f"return {_number(scores.get('return_mean'))} ± {_number(scores.get('return_ci95'))}, "
+        f"return {_mean_return(scores)}, "
         f"{_number(scores.get('speed_mps'))} m/s, collisions {_share(scores.get('collision_rate'))}"
     )
 
@@ -132,7 +144,8 @@ def _mean(services: dict[str, dict[str, float]], name: str) -> float | None:
 def _number(value: float | None) -> str:
     if value is None:
         return "-"
-    return f"{value:,.0f}" if abs(value) >= 100 or value == int(value) else f"{value:.2f}"
+    digits = 0 if abs(value) >= 100 or value == int(value) else 1 if abs(value) >= 10 else 2
+    return f"{value:,.{digits}f}"
 
 
 def _share(value: float | None) -> str:

@@ -13,6 +13,7 @@ from athrl_protocol import (
     EvaluationSubscriber,
     MetricsReport,
     MetricsSubscriber,
+    Phase,
     PresenceWatcher,
     RunState,
     StateSubscriber,
@@ -40,6 +41,11 @@ class RunSnapshot:
     evaluations: dict[str, EvaluationResult]
     present: frozenset[tuple[str, str]]
     steps_per_second: float | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether all environment steps are done."""
+        return self.state is not None and self.state.phase is Phase.FINISHED
 
     def of_role(self, role: str) -> dict[str, dict[str, float]]:
         """Return the metrics of every present service of a role, by its name; empty where it is silent."""

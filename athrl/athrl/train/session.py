@@ -67,7 +67,8 @@ class TrainingSession:
                     self._drain()
                     return False
                 self._supervisor.check()
-                self._display.show(view.snapshot(), self._where_to_look)
+                if not self._learner.finished:  # afterwards nobody is there to be shown
+                    self._display.show(view.snapshot(), self._where_to_look)
             return not self._stopped_early(view.snapshot())
 
     def _open_view(self, stop: threading.Event, stack: ExitStack) -> RunView | None:

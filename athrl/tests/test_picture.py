@@ -1,0 +1,81 @@
+"""The picture of a run shows what is known, and says so where nothing is."""
+
+import io
+
+from athrl.picture import draw, plain_line
+from athrl.run_view import RunSnapshot
+from athrl.status import facts
+from athrl_protocol import EvaluationResult, Phase, RunState
+from athrl_protocol.run_file import RunFile
+from rich.console import Console
+
+STATE = RunState(Phase.TRAINING, 1_500, 6_000, 320, 7, "the learner waits for the actors")
+SCORES = {"return_mean": 812.0, "return_ci95": 90.5, "speed_mps": 5.1, "collision_rate": 0.25}
+SNAPSHOT = RunSnapshot(
+    settings=RunFile(),
+    state=STATE,
+    metrics={
+        ("learner", "learner"): {"replay_transitions": 1490.0, "policy_lag": 2.0, "policy_lag/one": 2.0},
+        ("actor", "one"): {
+            "decisions_per_second": 45.0,
+            "return_mean": -12.5,
+            "collision_rate": 0.5,
+            "speed": 4.0,
+        },
+    },
+    evaluations={"policy": EvaluationResult("policy", 6, 1_400, "town03", 1, SCORES)},
+    present=frozenset({("learner", "learner"), ("actor", "one"), ("evaluator", "evaluator")}),
+    steps_per_second=45.0,
+)
+EMPTY = RunSnapshot(RunFile(), None, {}, {}, frozenset())
+
+
+def drawn(snapshot: RunSnapshot) -> str:
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(draw(snapshot, ["look here"]))
+    return console.export_text()
+
+
+def test_picture_shows_progress_services_and_scores() -> None:
+    text = drawn(SNAPSHOT)
+    for part in (
+        "1,500 of 6,000",
+        "ETA 1:40",
+        "320 updates",
+        "1,490 of",
+        "lag 2",
+        "the learner waits",
+        "look here",
+    ):
+        assert part in text
+    for part in ("actor one", "45 decisions/s", "return -12.5", "4 m/s", "50 %", "812 ± 90.5", "25 %"):
+        assert part in text
+
+
+def test_plain_line_says_the_same_in_one_line() -> None:
+    line = plain_line(SNAPSHOT)
+    assert "\n" not in line
+    for part in (
+        "1500/6000",
+        "updates 320",
+        "lag 2",
+        "actors 1",
+        "return -12.5",
+        "4 m/s",
+        "50 %",
+        "812 ± 90.5",
+    ):
+        assert part in line
+
+
+def test_run_of_which_nothing_is_known_yet_is_shown_as_that() -> None:
+    assert "waiting for the learner" in drawn(EMPTY)
+    assert "waiting for the learner" in plain_line(EMPTY)
+    assert facts(EMPTY)["phase"] is None
+
+
+def test_facts_are_plain_values_by_service() -> None:
+    values = facts(SNAPSHOT)
+    assert values["phase"] == "training"
+    assert values["actors"]["one"]["decisions_per_second"] == 45.0
+    assert values["evaluations"]["policy"]["scores"]["return_mean"] == 812.0
