@@ -7,7 +7,7 @@ from athrl_driving.traffic import Background, TrafficRoad
 from athrl_driving.traffic.collision import rectangles_touch
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from .compilation import 
+from numba import njit
 
 TEN_MINUTES = 6000
 SIZE = (IDMVehicle.LENGTH, IDMVehicle.WIDTH)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from athrl_driving.maps import compilation
+from athrl_driving import compilation
 
 
 def folder() -> str:
