@@ -48,7 +48,8 @@ def learner(
     with stop_on_signal() as stop:
         with needs("learner"):
             from athrl_learner import run_learner
-        run_learner(run_settings, resume=folder, stop=stop)
+        if not stop.is_set():
+            run_learner(run_settings, resume=folder, stop=stop)
 
 
 def actor(
@@ -60,7 +61,8 @@ def actor(
     with stop_on_signal() as stop:
         with needs("actor"):
             from athrl_actor import run_actor
-        run_actor(connect=connect, run=run, name=name or own_name(), stop=stop)
+        if not stop.is_set():
+            run_actor(connect=connect, run=run, name=name or own_name(), stop=stop)
 
 
 def evaluator(
@@ -78,4 +80,5 @@ def evaluator(
     with stop_on_signal() as stop:
         with needs("evaluator"):
             from athrl_evaluator import run_evaluator
-        run_evaluator(connect=connect, run=run, name=name or "evaluator", folder=folder, stop=stop)
+        if not stop.is_set():
+            run_evaluator(connect=connect, run=run, name=name or "evaluator", folder=folder, stop=stop)
