@@ -1,8 +1,7 @@
 """How fast the town steps, beside a stock highway-env environment with as many vehicles, in one process.
 
-Both are driven with the middle of their action spaces and, as they share the machine's moods, in turns. A frame
-is one simulated tick: the town's is 0.1 s long, and its observation (bird's eye view and lidar) is made once in
-four.
+Both are driven with the middle of their action spaces and, as they share the machine's moods, in turns.
+A frame is one simulated tick: the town's is 0.1 s long, and its observation is made once in four.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-ACTOR_ROLE = 1  # the branch of all actors under the run's seed
+ACTOR_ROLE = 2  # the branch of all actors under the run's seed
 EXPLORATION, EPISODES = 0, 1  # the branches of one actor
 
 EPISODE_SEED_BIT = 1 << 62
