@@ -2,9 +2,17 @@
 FROM debian:bookworm-slim
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends ca-certificates python3 python3-venv \
-    && rm -rf /var/lib/apt/lists/*
-RUN python3 -m venv /opt/athrl
-ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1
+    && rm -rf /var/lib/apt/lists/* \
+    && python3 -m venv /opt/athrl \
+    && useradd --uid 10001 --create-home athrl \
+    && install --directory --owner athrl /var/cache/athrl
+ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1 \
+    NUMBA_CACHE_DIR=/var/cache/athrl OMP_NUM_THREADS=1 SDL_VIDEODRIVER=dummy
+STOPSIGNAL SIGTERM
+# Healthy is an actor that takes part in the run.
+HEALTHCHECK --interval=30s --timeout=20s --start-period=60s CMD ["athrl", "status", "--check", "actor"]
+ENTRYPOINT ["athrl"]
+CMD ["actor"]
 
 # What the rooms need, in a layer that a change of code leaves as it is.
 WORKDIR /source
@@ -27,16 +35,7 @@ COPY driving driving
 COPY services/actor services/actor
 COPY athrl athrl
 RUN deploy/install.sh rooms protocol driving services/actor athrl
-
-RUN useradd --uid 10001 --create-home athrl && install --directory --owner athrl /var/cache/athrl
-ENV NUMBA_CACHE_DIR=/var/cache/athrl OMP_NUM_THREADS=1 SDL_VIDEODRIVER=dummy
 USER athrl
-WORKDIR /home/athrl
 # The traffic's kernels are compiled here, not at every start; a processor of another kind compiles them anew.
-COPY deploy/warm_up.py /source/deploy/
-RUN python /source/deploy/warm_up.py
-STOPSIGNAL SIGTERM
-# Healthy is an actor that the learner's side of the run sees.
-HEALTHCHECK --interval=30s --timeout=20s --start-period=60s CMD ["athrl", "status", "--check", "actor"]
-ENTRYPOINT ["athrl"]
-CMD ["actor"]
+COPY deploy/warm_up.py deploy/
+RUN python deploy/warm_up.py

@@ -2,9 +2,18 @@
 FROM debian:bookworm-slim
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends ca-certificates python3 python3-venv \
-    && rm -rf /var/lib/apt/lists/*
-RUN python3 -m venv /opt/athrl
+    && rm -rf /var/lib/apt/lists/* \
+    && python3 -m venv /opt/athrl \
+    && useradd --uid 10001 --create-home athrl \
+    && install --directory --owner athrl /runs
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1
+VOLUME /runs
+EXPOSE 7447
+STOPSIGNAL SIGTERM
+# Healthy is a learner that answers with the state of its run.
+HEALTHCHECK --interval=30s --timeout=20s --start-period=60s CMD ["athrl", "status", "--check", "learner"]
+ENTRYPOINT ["athrl"]
+CMD ["learner", "--resume-if-present", "--set", "run.folder=/runs", "--set", "network.listen=tcp/0.0.0.0:7447"]
 
 # What the rooms need, in a layer that a change of code leaves as it is.
 WORKDIR /source
@@ -27,14 +36,4 @@ COPY planners planners
 COPY services/learner services/learner
 COPY athrl athrl
 RUN deploy/install.sh rooms protocol planners services/learner athrl
-
-RUN useradd --uid 10001 --create-home athrl && install --directory --owner athrl /runs
 USER athrl
-WORKDIR /home/athrl
-VOLUME /runs
-EXPOSE 7447
-STOPSIGNAL SIGTERM
-# Healthy is a learner that answers with the state of its run.
-HEALTHCHECK --interval=30s --timeout=20s --start-period=60s CMD ["athrl", "status", "--check", "learner"]
-ENTRYPOINT ["athrl"]
-CMD ["learner", "--resume-if-present", "--set", "run.folder=/runs", "--set", "network.listen=tcp/0.0.0.0:7447"]
