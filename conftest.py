@@ -3,12 +3,12 @@
 The folder of the command has the name of its package: imported here, the package is known before pytest meets
 the tests in `athrl/tests` and takes the folder for it.
 
-pygame gets no screen. With one it loads the graphics driver, which brings an LLVM of its own that does not get
-along with triton's: importing torch's compiler in the same process afterwards crashes.
+pygame gets no screen. With one it loads the graphics driver, which brings an LLVM of its own that does not
+get along with triton's: importing torch's compiler in the same process afterwards crashes.
 """
 
 import os
 
 os.environ["SDL_VIDEODRIVER"] = "dummy"
 
-import athrl  # noqa: E402, F401
+import athrl  # noqa: F401
