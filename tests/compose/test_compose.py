@@ -68,6 +68,10 @@ class Containers:
         assert result.returncode == 0, f"{arguments}: {result.stdout}\n{result.stderr}"
         return result.stdout
 
+    def up(self) -> None:
+        """Start the run with two actors."""
+        self.run("up", "--detach", "--no-build", "--scale", "actor=2", seconds=300)
+
     def of(self, service: str) -> list[str]:
         """Return the ids of a service's containers."""
         return self.run("ps", "-q", service, seconds=60).split()
@@ -113,7 +117,7 @@ def compose_command() -> list[str]:
 
 @pytest.fixture
 def containers() -> Iterator[Containers]:
-    """Bring the run up with two actors and, whatever happens, take it down again with its volume."""
+    """The run's containers; whatever happens, they are taken down again with their volume."""
     port = free_port()
     environment = {
         **os.environ,
@@ -125,7 +129,6 @@ def containers() -> Iterator[Containers]:
     containers = Containers(compose_command(), environment, port)
     containers.run("down", "--volumes", "--timeout", "10", seconds=300)
     try:
-        containers.run("up", "--detach", "--no-build", "--scale", "actor=2", seconds=300)
         yield containers
     finally:
         print(containers.run("logs", "--tail", "20", "--no-color", seconds=60))
@@ -133,6 +136,7 @@ def containers() -> Iterator[Containers]:
 
 
 def test_run_grows_comes_back_and_leaves_nothing(containers: Containers) -> None:
+    containers.up()
     status = containers.status
     wait("two actors", lambda: len(status().get("actors", {})) == 2, 300)
     wait("the first updates", lambda: status().get("updates", 0) > 0, 300)
@@ -142,12 +146,15 @@ def test_run_grows_comes_back_and_leaves_nothing(containers: Containers) -> None
     scored = status()["evaluations"]["policy"]["policy_version"]
     wait("a newer policy's score", lambda: newest_scored(status()) > scored, 300)
 
+    for service in ("learner", "actor", "evaluator"):
+        for container in containers.of(service):
+            wait(f"a healthy {service}", lambda container=container: health(container) == "healthy", 120)
     killed_actor_comes_back_and_is_heard(containers)
 
     reached = status()["environment_steps"]
     containers.run("down", seconds=300)
     assert not left()
-    containers.run("up", "--detach", "--no-build", "--scale", "actor=2", seconds=300)
+    containers.up()
     # Nothing that was acknowledged is lost: the run goes on where it was.
     first: list[int] = []
     wait("the learner again", lambda: first or first.extend(steps_now(status())) or first, 300)
@@ -160,6 +167,22 @@ def test_run_grows_comes_back_and_leaves_nothing(containers: Containers) -> None
         ["docker", "volume", "ls", "--quiet"], capture_output=True, text=True, timeout=60
     )
     assert f"{PROJECT}_runs" not in volumes.stdout.split()
+
+
+def test_finished_run_stays_finished(containers: Containers) -> None:
+    containers.environment["ATHRL_SET"] += " run.environment_steps=600 evaluator.final_episodes=2"
+    containers.up()
+    services = [container for name in ("learner", "actor", "evaluator") for container in containers.of(name)]
+    assert len(services) == 4
+    wait("the run's end", lambda: all(inspect(each)["State"]["Status"] == "exited" for each in services), 600)
+    for container in services:
+        assert inspect(container)["State"]["ExitCode"] == 0
+        assert inspect(container)["RestartCount"] == 0
+
+
+def health(container: str) -> str:
+    """Return what the container's health check found last."""
+    return str(inspect(container)["State"]["Health"]["Status"])
 
 
 def steps_now(status: dict[str, Any]) -> list[int]:
