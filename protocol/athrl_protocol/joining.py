@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import socket
@@ -19,7 +20,10 @@ from athrl_protocol.run_file import NetworkSection, RunFile
 from athrl_protocol.session import open_session
 
 NAME_SECONDS = 8.0  # longer than a service that hung or lost its network keeps its name (the session's lease)
+NOTICE_SECONDS = 3.0  # without a learner until somebody at a terminal is told what is waited for
 PRESENCE_SECONDS = 2.0  # within which those present, at least the learner, have shown
+
+log = logging.getLogger(__name__)
 
 
 def join_run(
@@ -36,6 +40,11 @@ def join_run(
         NameTaken: another live service of that role has the name.
     """
     patience = NetworkSection().patience  # the run's own is not known before its learner is there
+    notice = threading.Timer(
+        NOTICE_SECONDS, log.warning, ("waiting up to %.0f s for a learner at %s", patience, connect)
+    )
+    notice.daemon = True
+    notice.start()
     try:
         session = stack.enter_context(open_session(connect=connect, timeout=patience, stop=stop))
         run_file = fetch_run_file(session, run, timeout=patience, stop=stop)
@@ -43,6 +52,8 @@ def join_run(
         if stop.is_set():
             return None
         raise
+    finally:
+        notice.cancel()
     taken = _take_name(session, run, role, name, stop, stack)
     return None if taken is None else (session, run_file, taken)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import subprocess
 import sys
 import threading
@@ -18,9 +17,6 @@ from athrl_protocol import (
     IntakeBusy,
     IntakeFinished,
     InvalidMessage,
-    Keys,
-    athrl_pb2,
-    encode_chunk,
     new_incarnation,
     open_session,
 )
@@ -269,65 +265,6 @@ def test_learner_from_an_older_checkpoint_takes_the_jump_and_counts_what_is_lost
         assert uploader.flush(PATIENCE)
         assert intake.statistics().lost == 6
     assert restored.marks == list(range(10, 15))
-
-
-def _ask(session: zenoh.Session, actor: str, payload: bytes) -> athrl_pb2.Refusal | athrl_pb2.Acknowledgement:
-    for reply in session.get(Keys(RUN).experience(actor), payload=payload, timeout=PATIENCE):
-        if reply.ok is not None:
-            return athrl_pb2.Acknowledgement.FromString(reply.ok.payload.to_bytes())
-        assert reply.err is not None
-        return athrl_pb2.Refusal.FromString(reply.err.payload.to_bytes())
-    raise AssertionError("no answer")
-
-
-def _chunk(make_chunk: Make, sequence: int, actor: str = "actor-0") -> bytes:
-    return encode_chunk(
-        dataclasses.replace(make_chunk(sequence), actor=actor, incarnation=7, sequence=sequence)
-    )
-
-
-def test_duplicate_is_acknowledged_again_and_not_counted_again(
-    connect: Open, listen: Open, make_chunk: Make, store: _Store
-) -> None:
-    with ChunkIntake(listen(), RUN, store) as intake:
-        session = connect()
-        for sequence in (0, 0, 1, 0, 1):
-            answer = _ask(session, "actor-0", _chunk(make_chunk, sequence))
-            assert isinstance(answer, athrl_pb2.Acknowledgement)
-            assert answer.credits >= 1
-        assert answer.next_sequence == 2
-        assert intake.statistics().duplicates == 3
-        assert intake.statistics().transitions == 8
-    assert store.marks == [0, 1]
-
-
-def test_gap_is_answered_with_what_is_expected(
-    connect: Open, listen: Open, make_chunk: Make, store: _Store
-) -> None:
-    with ChunkIntake(listen(), RUN, store) as intake:
-        answer = _ask(connect(), "actor-0", _chunk(make_chunk, 5))
-        assert isinstance(answer, athrl_pb2.Refusal)
-        assert (answer.reason, answer.expected_sequence) == (athrl_pb2.Refusal.EXPECTED, 0)
-        assert intake.statistics().gaps == 1
-    assert store.marks == []
-
-
-def test_rubbish_is_refused_by_reason_and_does_no_harm(
-    connect: Open, listen: Open, make_chunk: Make, store: _Store
-) -> None:
-    good = _chunk(make_chunk, 0)
-    other_schema = athrl_pb2.Chunk.FromString(good)
-    other_schema.schema_hash += 1
-    with ChunkIntake(listen(), RUN, store) as intake:
-        session = connect()
-        for payload in (b"", b"rubbish", other_schema.SerializeToString(), _chunk(make_chunk, 0, actor="b")):
-            answer = _ask(session, "actor-0", payload)
-            assert isinstance(answer, athrl_pb2.Refusal)
-            assert answer.reason == athrl_pb2.Refusal.INVALID
-            assert answer.text
-        assert isinstance(_ask(session, "actor-0", good), athrl_pb2.Acknowledgement)
-        assert intake.statistics().invalid == {"schema": 2, "malformed": 1, "value": 1}
-    assert store.marks == [0]
 
 
 def test_failure_of_the_learner_itself_is_kept_and_nothing_is_acknowledged(
