@@ -6,10 +6,11 @@ import logging
 import os
 import re
 import socket
+import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 
 import zenoh
 
@@ -40,22 +41,29 @@ def join_run(
         NameTaken: another live service of that role has the name.
     """
     patience = NetworkSection().patience  # the run's own is not known before its learner is there
-    notice = threading.Timer(
-        NOTICE_SECONDS, log.warning, ("waiting up to %.0f s for a learner at %s", patience, connect)
-    )
-    notice.daemon = True
-    notice.start()
-    try:
-        session = stack.enter_context(open_session(connect=connect, timeout=patience, stop=stop))
-        run_file = fetch_run_file(session, run, timeout=patience, stop=stop)
-    except LearnerNotFound:
-        if stop.is_set():
-            return None
-        raise
-    finally:
-        notice.cancel()
+    with _notice_at_a_terminal(f"waiting up to {patience:.0f} s for a learner at {connect}"):
+        try:
+            session = stack.enter_context(open_session(connect=connect, timeout=patience, stop=stop))
+            run_file = fetch_run_file(session, run, timeout=patience, stop=stop)
+        except LearnerNotFound:
+            if stop.is_set():
+                return None
+            raise
     taken = _take_name(session, run, role, name, stop, stack)
     return None if taken is None else (session, run_file, taken)
+
+
+@contextmanager
+def _notice_at_a_terminal(text: str) -> Iterator[None]:
+    """Say what is waited for, if it takes a while and somebody sits there; a log has the error in the end."""
+    timer = threading.Timer(NOTICE_SECONDS, log.warning, (text,))
+    timer.daemon = True
+    if sys.stderr.isatty():
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _take_name(
