@@ -14,14 +14,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
 from athrl_protocol import athrl_pb2
 from athrl_protocol.chunk import Chunk
 from athrl_protocol.chunk_codec import decode_chunk
+from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
 from athrl_protocol.ledger import Gap, Known, Ledger
@@ -72,7 +72,7 @@ class IntakeStatistics:
     active_actors: int = 0
 
 
-class ChunkIntake:
+class ChunkIntake(Closing):
     """Takes in the chunks of all actors.
 
     Args:
@@ -139,14 +139,6 @@ class ChunkIntake:
         """Stop listening; what was not acknowledged stays with its actor."""
         undeclare_quietly(self._queryable)
         self._thread.join(timeout=CLOSE_SECONDS)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _serve(self, queries: zenoh.handlers.Handler[zenoh.Query]) -> None:
         while True:

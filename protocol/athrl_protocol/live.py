@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
 import zenoh
 
+from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.frame import Frame, decode_frame, encode_frame
 from athrl_protocol.keys import Keys
@@ -17,7 +16,7 @@ from athrl_protocol.session import undeclare_quietly
 _log = logging.getLogger(__name__)
 
 
-class FramePublisher:
+class FramePublisher(Closing):
     """Puts out the frames of one service; make frames only while `watched`."""
 
     def __init__(self, session: zenoh.Session, run: str, role: str, name: str) -> None:
@@ -42,19 +41,11 @@ class FramePublisher:
         undeclare_quietly(self._matching)
         undeclare_quietly(self._publisher)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _take(self, status: zenoh.MatchingStatus) -> None:
         self._watched = status.matching
 
 
-class FrameSubscription:
+class FrameSubscription(Closing):
     """Watches until it is closed; made by `subscribe_frames`."""
 
     def __init__(self, session: zenoh.Session, key: str, on_frame: Callable[[Frame], None]) -> None:
@@ -64,14 +55,6 @@ class FrameSubscription:
     def close(self) -> None:
         """Stop watching."""
         undeclare_quietly(self._subscriber)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _take(self, sample: zenoh.Sample) -> None:
         try:

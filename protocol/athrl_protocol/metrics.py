@@ -6,12 +6,11 @@ import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import zenoh
 
 from athrl_protocol import athrl_pb2
+from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import decode_message, encode_message
@@ -37,7 +36,7 @@ class MetricsReport:
     values: dict[str, float]
 
 
-class MetricsPublisher:
+class MetricsPublisher(Closing):
     """Puts out the metrics of one service."""
 
     def __init__(self, session: zenoh.Session, run: str, role: str, name: str) -> None:
@@ -56,16 +55,8 @@ class MetricsPublisher:
         """Stop publishing."""
         undeclare_quietly(self._publisher)
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class MetricsSubscriber:
+class MetricsSubscriber(Closing):
     """Receives the metrics of all services of a run.
 
     Args:
@@ -81,14 +72,6 @@ class MetricsSubscriber:
     def close(self) -> None:
         """Stop listening."""
         undeclare_quietly(self._subscriber)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _take(self, sample: zenoh.Sample) -> None:
         try:

@@ -14,12 +14,12 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import zenoh
 
 from athrl_protocol import athrl_pb2
+from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import new_incarnation
 from athrl_protocol.schema import decode_message, encode_message
@@ -38,7 +38,7 @@ class Edition(NamedTuple):
     number: int
 
 
-class NewestPublisher:
+class NewestPublisher(Closing):
     """Publishes values under a key and answers latecomers with the newest.
 
     Args:
@@ -82,16 +82,8 @@ class NewestPublisher:
         for declared in (self._token, self._queryable, self._publisher):
             undeclare_quietly(declared)
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class NewestSubscriber:
+class NewestSubscriber(Closing):
     """Keeps the newest value of each key that matches.
 
     Args:
@@ -143,14 +135,6 @@ class NewestSubscriber:
             self._changed.notify_all()
         if threading.current_thread() is not self._asker:
             self._asker.join(timeout=QUERY_SECONDS)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Keep a value if it is newer than the one of its key."""

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
 import zenoh
 
+from athrl_protocol.closing import Closing
 from athrl_protocol.keys import Keys, role_and_name_of
 from athrl_protocol.session import undeclare_quietly
 
 
-class Presence:
+class Presence(Closing):
     """A declared token; the service counts as present until it is closed or its session ends."""
 
     def __init__(self, token: zenoh.LivelinessToken) -> None:
@@ -23,21 +22,13 @@ class Presence:
         """Leave."""
         undeclare_quietly(self._token)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
 
 def announce_presence(session: zenoh.Session, run: str, role: str, name: str) -> Presence:
     """Say that the service `name` of the role (learner, actor, evaluator) is there."""
     return Presence(session.liveliness().declare_token(Keys(run).alive(role, name)))
 
 
-class PresenceWatcher:
+class PresenceWatcher(Closing):
     """Keeps the set of services that are present in a run; a name in it is taken.
 
     Args:
@@ -73,14 +64,6 @@ class PresenceWatcher:
     def close(self) -> None:
         """Stop watching."""
         undeclare_quietly(self._subscriber)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Add or remove a service; the same event may come twice."""

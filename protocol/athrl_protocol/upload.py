@@ -14,14 +14,14 @@ import logging
 import threading
 from collections import deque
 from enum import Enum, auto
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import zenoh
 
 from athrl_protocol import athrl_pb2
 from athrl_protocol.chunk import Chunk
 from athrl_protocol.chunk_codec import encode_chunk, with_oldest_held
+from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import decode_message
@@ -51,7 +51,7 @@ class _UnderWay(NamedTuple):
     replies: zenoh.handlers.Handler[zenoh.Reply]
 
 
-class ChunkUploader:
+class ChunkUploader(Closing):
     """Sends an actor's chunks from a thread of its own.
 
     Args:
@@ -136,14 +136,6 @@ class ChunkUploader:
         with self._changed:
             self._window.give_up_all()
             self._changed.notify_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def _is_full(self) -> bool:

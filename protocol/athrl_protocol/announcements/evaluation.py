@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import zenoh
 
 from athrl_protocol import athrl_pb2
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
+from athrl_protocol.closing import Closing
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import decode_message, encode_message
 
@@ -61,7 +60,7 @@ def _decode(payload: bytes) -> EvaluationResult:
     )
 
 
-class EvaluationPublisher:
+class EvaluationPublisher(Closing):
     """Publishes results, used by an evaluator.
 
     Args:
@@ -87,14 +86,6 @@ class EvaluationPublisher:
         """Stop publishing; latecomers get no answer any more."""
         for publisher in self._publishers.values():
             publisher.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class EvaluationSubscriber(TypedSubscriber[EvaluationResult]):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from types import TracebackType
-from typing import Generic, Self, TypeVar
+from typing import Generic, TypeVar
 
 import zenoh
 
+from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.newest import NewestPublisher, NewestSubscriber
 
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 _Value = TypeVar("_Value")
 
 
-class TypedPublisher(Generic[_Value]):
+class TypedPublisher(Generic[_Value], Closing):
     """Publishes values of one type under one key."""
 
     def __init__(self, session: zenoh.Session, key: str, encode: Callable[[_Value], bytes]) -> None:
@@ -32,16 +32,8 @@ class TypedPublisher(Generic[_Value]):
         """Stop publishing; latecomers get no answer any more."""
         self._publisher.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class TypedSubscriber(Generic[_Value]):
+class TypedSubscriber(Generic[_Value], Closing):
     """Keeps the newest valid value of one type; an invalid one is logged and left out.
 
     Args:
@@ -83,14 +75,6 @@ class TypedSubscriber(Generic[_Value]):
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _take(self, payload: bytes) -> None:
         try:
