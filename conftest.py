@@ -4,11 +4,12 @@ The folder of the command has the name of its package: imported here, the packag
 the tests in `athrl/tests` and takes the folder for it.
 
 pygame gets no screen. With one it loads the graphics driver, which brings an LLVM of its own that does not
-get along with triton's: importing torch's compiler in the same process afterwards crashes.
+get along with triton's: importing torch's compiler in the same process afterwards crashes. `putenv` tells SDL
+alone; highway-env, which looks into `os.environ`, would stop drawing altogether.
 """
 
 import os
 
-os.environ["SDL_VIDEODRIVER"] = "dummy"
+os.putenv("SDL_VIDEODRIVER", "dummy")
 
 import athrl  # noqa: F401
