@@ -53,8 +53,8 @@ def run_learner(
     and returns. Calls `torch.set_num_threads` for the whole process.
 
     Args:
-        run_file: the run to start; not needed with `resume`.
-        resume: the folder of the run to go on with; `run.toml` in it says how.
+        run_file: the run to start; with `resume` the settings to go on with, by default those it had.
+        resume: the folder of the run to go on with.
         stop: set from a signal handler or another thread.
         evaluator_deadline: seconds.
 
@@ -70,8 +70,9 @@ def run_learner(
         content = _prepare(folder, resuming=resume is not None)
         # The address before the folder's content: a run that cannot listen leaves nothing behind.
         session = stack.enter_context(open_session(listen=run_file.network.listen, timeout=_SESSION_TIMEOUT))
-        folder.lay_out(to_toml(run_file))
         parts = make_parts(stack, session, run_file, folder, content)
+        # Only settings that the checkpoint fits replace those it was made with.
+        folder.lay_out(to_toml(run_file))
         # Last, because whoever has the run file expects everything else to be there.
         stack.enter_context(serve_run_file(session, run_file))
         stack.enter_context(announce_presence(session, run_file.run.name, NAME, NAME))
@@ -95,7 +96,7 @@ def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunF
     if resume is not None:
         if not (resume / "run.toml").is_file():
             raise CannotResume(f"{resume} holds no run to go on with: there is no run.toml in it")
-        return read_run_file(resume / "run.toml"), resume
+        return run_file or read_run_file(resume / "run.toml"), resume
     if run_file is None:
         raise ValueError("run_learner needs a run file, or a run to resume")
     return run_file, Path(run_file.run.folder) / run_file.run.name

@@ -47,7 +47,7 @@ def restore_snapshot(content: CheckpointContent, agent: AtHRL, store: Experience
     """Put planner, replay, limiter and step counter back; `saved_ledger` and `saved_version` are the rest.
 
     Raises:
-        CannotResume: the checkpoint does not fit the run file that lies beside it.
+        CannotResume: the checkpoint does not fit the run's settings.
     """
     state: dict[str, Any] = content.state
     try:
@@ -57,7 +57,9 @@ def restore_snapshot(content: CheckpointContent, agent: AtHRL, store: Experience
         store.restore(int(state["environment_steps"]))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        raise CannotResume(f"the checkpoint does not fit the run's run.toml: {reason}") from None
+        raise CannotResume(
+            f"the checkpoint does not fit the run's settings, was one overridden? {reason}"
+        ) from None
     if store.limiter.warmed_up and not len(store.replay):
         # The limiter would permit samples of nothing, for ever.
         raise CannotResume("the checkpoint's limiter has counted experience that its replay does not hold")

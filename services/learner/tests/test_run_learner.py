@@ -145,6 +145,35 @@ def test_a_finished_learner_stays_for_an_evaluator_and_ends_at_once_when_resumed
     assert (again.environment_steps, again.updates) == (first.environment_steps, first.updates)
 
 
+def changed(run_file: RunFile, section: str, **values: object) -> RunFile:
+    return run_file.model_copy(update={section: getattr(run_file, section).model_copy(update=values)})
+
+
+def test_a_resumed_run_follows_the_settings_it_is_given(run_file, fake_actor):
+    with fake_actor:
+        with learner(run_file) as (running, stop):
+            fake_actor.wait_for(lambda: any(policy.updates for policy in fake_actor.policies))
+            stop.set()
+            stopped: Summary = running.result(timeout=60)
+        shorter = changed(run_file, "run", environment_steps=stopped.environment_steps)
+        with learner(shorter, resume=folder_of(run_file)) as (running, _):
+            resumed: Summary = running.result(timeout=120)
+    assert resumed.finished
+    assert resumed.environment_steps == stopped.environment_steps
+    assert read_run_file(resumed.folder / "run.toml") == shorter
+
+
+def test_settings_that_the_checkpoint_does_not_fit_change_nothing(run_file, fake_actor):
+    with fake_actor, learner(run_file) as (running, stop):
+        fake_actor.wait_for(lambda: any(policy.updates for policy in fake_actor.policies))
+        stop.set()
+        running.result(timeout=60)
+    wider = changed(run_file, "planner", hidden_features=24)
+    with pytest.raises(CannotResume, match="settings"):
+        run_learner(wider, resume=folder_of(run_file), stop=threading.Event())
+    assert read_run_file(folder_of(run_file) / "run.toml") == run_file
+
+
 def test_two_learners_never_write_one_folder(run_file):
     with learner(run_file) as (_, _):
         wait_until_started(run_file)

@@ -71,7 +71,7 @@ def test_a_checkpoint_of_another_planner_is_refused_in_one_line(content, run_fil
     planner = run_file.planner.model_copy(update={"recurrent_features": 12})
     larger = run_file.model_copy(update={"planner": planner})
     agent = translation.make_agent(larger)
-    with pytest.raises(CannotResume, match=r"does not fit the run's run\.toml") as refusal:
+    with pytest.raises(CannotResume, match="does not fit the run's settings") as refusal:
         restore_snapshot(read, agent, make_experience(larger, agent, Arrivals()))
     assert "\n" not in str(refusal.value)
 
