@@ -9,7 +9,7 @@ RUN apt-get update \
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/var/cache/athrl OMP_NUM_THREADS=1 SDL_VIDEODRIVER=dummy
 VOLUME /runs
-EXPOSE 9876
+EXPOSE 9877
 STOPSIGNAL SIGTERM
 # Healthy is an evaluator that takes part in the run.
 HEALTHCHECK --interval=30s --timeout=20s --start-period=60s CMD ["athrl", "status", "--check", "evaluator"]

@@ -24,6 +24,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--compose", action="store_true", help="run the tests that build on containers")
 
 
+def _hear_interrupts() -> None:
+    """A shell starts what it puts in the background deaf to SIGINT, which pytest's children would inherit."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @dataclass
 class Command:
     """Runs `athrl` in a folder; every process carries a mark by which it is found however it was started."""
@@ -64,6 +69,7 @@ class Command:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 text=True,
+                preexec_fn=_hear_interrupts,
             )
         process.log = log  # type: ignore[attr-defined]
         self.started.append(process)

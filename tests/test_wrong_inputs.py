@@ -50,6 +50,15 @@ def test_policy_file_that_is_missing_is_named(command) -> None:
     assert_one_line(result, "gone.onnx", "random")
 
 
+def test_wrong_option_is_named(command) -> None:
+    for words in (["evaluate"], ["evaluate", "--policy", "random", "--episodes", "1"], ["train", "--bogus"]):
+        assert_one_line(command.run(*words, seconds=SECONDS), "--", f"athrl {words[0]} --help")
+
+
+def test_recording_that_is_none_is_named(command) -> None:
+    assert_one_line(command.run("watch", "gone.mcap", seconds=SECONDS), "gone.mcap")
+
+
 def test_run_that_cannot_be_resumed_is_named(command) -> None:
     assert_one_line(command.run("train", "--resume", "yesterday", seconds=SECONDS), "yesterday")
 

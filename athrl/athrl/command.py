@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import logging
 import sys
+from typing import Any
 
 import typer
 
 from athrl import evaluate, run_file, services, status, watch
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
 from athrl.train import command as train
+
+UsageError: Any = typer.BadParameter.__base__
+"""Whatever is wrong with the words of a command line; typer has no public name for it."""
 
 app = typer.Typer(
     name="athrl",
@@ -32,7 +36,17 @@ def main() -> None:
     """Run the command; an expected error ends it with one line and exit code 2."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s", stream=sys.stderr)
     try:
-        app(prog_name="athrl")
+        sys.exit(app(prog_name="athrl", standalone_mode=False))
+    except UsageError as error:  # an option that is missing, unknown or out of its bounds
+        say(f"{str(error.format_message()).rstrip('.')}; see athrl {_subcommand()}--help")
+        sys.exit(EXPECTED_ERROR)
+    except typer.Abort:
+        sys.exit(130)
     except expected_errors() as error:
         say(error)
         sys.exit(EXPECTED_ERROR)
+
+
+def _subcommand() -> str:
+    names = {command.name for command in app.registered_commands}
+    return next((f"{word} " for word in sys.argv[1:2] if word in names), "")

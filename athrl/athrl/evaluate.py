@@ -54,6 +54,7 @@ def _evaluate(policy: str, settings: RunFile, episodes: int, seed: int) -> dict[
         driver = Path(policy)
         if not driver.is_file():
             choice = ", ".join(REFERENCE_DRIVERS)
-            raise CommandError(f"--policy {policy}: there is no such file, and it is none of {choice}")
+            wrong = "is a folder" if driver.is_dir() else "there is no such file"
+            raise CommandError(f"--policy {policy}: {wrong}, and it is none of {choice}")
     scores = evaluate_driver(driver, environment=settings.environment, episodes=episodes, seed=seed)
     return scores.as_dict()

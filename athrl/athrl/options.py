@@ -31,6 +31,12 @@ ConnectOption = Annotated[
     str, typer.Option("--connect", envvar="ATHRL_CONNECT", metavar="ADDRESS", help="The learner's address.")
 ]
 RunOption = Annotated[str, typer.Option("--run", envvar="ATHRL_RUN", metavar="RUN", help="The run's name.")]
+LiveRunOption = Annotated[
+    str | None,
+    typer.Option(
+        "--run", envvar="ATHRL_RUN", metavar="RUN", help="The run's name; not needed where there is but one."
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 

@@ -63,13 +63,15 @@ class RunSnapshot:
 
 @dataclass
 class RunView:
-    """Listens to a run; `snapshot` is what is known now. Use it in `with`.
+    """Listens to a run, or with None to the only one that is there; `snapshot` is what is known now.
+
+    Use it in `with`.
 
     Raises on entering: LearnerNotFound, RunNotFound (`athrl_protocol`).
     """
 
     connect: str
-    run: str
+    run: str | None
     timeout: float
     stop: threading.Event | None = None
     settings: RunFile = field(init=False)
@@ -83,10 +85,11 @@ class RunView:
         self._session = open_session(connect=self.connect, timeout=self.timeout, stop=self.stop)
         try:
             self.settings = fetch_run_file(self._session, self.run, timeout=self.timeout)
-            self._state = StateSubscriber(self._session, self.run)
-            self._metrics = MetricsSubscriber(self._session, self.run, self._on_metrics)
-            self._results = EvaluationSubscriber(self._session, self.run, self._on_evaluation)
-            self._presence = PresenceWatcher(self._session, self.run)
+            run = self.settings.run.name
+            self._state = StateSubscriber(self._session, run)
+            self._metrics = MetricsSubscriber(self._session, run, self._on_metrics)
+            self._results = EvaluationSubscriber(self._session, run, self._on_evaluation)
+            self._presence = PresenceWatcher(self._session, run)
         except BaseException:
             self._session.close()
             raise

@@ -48,7 +48,7 @@ def resumed_settings(run: str, overrides: Sequence[str]) -> tuple[RunFile, Path]
         raise CommandError(f"no run {run!r} in {parent}/ to resume; {there}")
     # Where the folder is found is where the run goes on: it may have been moved, or be mounted elsewhere.
     found = [f"run.folder={folder.parent}", f"run.name={folder.name}"]
-    return read_run_file(folder / "run.toml", [*overrides, *found]), folder
+    return read_run_file(folder / "run.toml", [*overrides, *found], complete=True), folder
 
 
 def unused_name(settings: RunFile) -> str:

@@ -13,7 +13,7 @@ from rich.live import Live
 
 from athrl.errors import CommandError
 from athrl.names import host_name
-from athrl.options import DEFAULTS, ConnectOption, JsonOption, RunOption
+from athrl.options import DEFAULTS, ConnectOption, JsonOption, LiveRunOption
 from athrl.picture import draw
 from athrl.run_view import RunSnapshot, RunView
 from athrl.stopping import stop_on_signal
@@ -27,7 +27,7 @@ METRICS_SECONDS = 1.5
 
 def status(
     connect: ConnectOption = DEFAULTS.network.listen,
-    run: RunOption = DEFAULTS.run.name,
+    run: LiveRunOption = None,
     as_json: JsonOption = False,
     follow: Annotated[bool, typer.Option("--follow", help="Go on showing the run until Ctrl-C.")] = False,
     check: Annotated[

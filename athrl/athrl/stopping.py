@@ -34,8 +34,9 @@ def stop_on_signal(before_exit: Callable[[], None] | None = None) -> Iterator[th
     stop = threading.Event()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    earlier = {number: signal.signal(number, _ignore) for number in SIGNALS}
+    # The pipe before the handlers, so that none of them swallows a signal which nobody reads.
     earlier_writer = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    earlier = {number: signal.signal(number, _ignore) for number in SIGNALS}
     threading.Thread(
         target=_read_signals, args=(reader, stop, before_exit), name="signals", daemon=True
     ).start()
@@ -44,9 +45,9 @@ def stop_on_signal(before_exit: Callable[[], None] | None = None) -> Iterator[th
     try:
         yield stop
     finally:
-        signal.set_wakeup_fd(earlier_writer)
         for number, handler in earlier.items():
             signal.signal(number, handler)
+        signal.set_wakeup_fd(earlier_writer)
         os.close(writer)
 
 

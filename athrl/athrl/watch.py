@@ -1,22 +1,27 @@
-"""`athrl watch`: see an episode live in rerun."""
+"""`athrl watch`: see an episode in rerun, live or recorded."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from athrl.errors import needs
-from athrl.options import DEFAULTS, ConnectOption, RunOption
+from athrl.options import DEFAULTS, ConnectOption, LiveRunOption
 from athrl.stopping import stop_on_signal
 
 
 def watch(
-    actor: Annotated[
-        str | None, typer.Argument(help="Name of the actor to watch; without it the evaluator is watched.")
+    what: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[ACTOR|FILE.mcap]",
+            help="An actor's name, or a recorded episode; without it the evaluator is watched.",
+        ),
     ] = None,
     connect: ConnectOption = DEFAULTS.network.listen,
-    run: RunOption = DEFAULTS.run.name,
+    run: LiveRunOption = None,
     serve: Annotated[
         int | None,
         typer.Option(min=1, max=65535, metavar="PORT", help="Serve viewers at this port and open no window."),
@@ -25,9 +30,13 @@ def watch(
         str, typer.Option(help="Address of this machine at which --serve listens.")
     ] = "127.0.0.1",
 ) -> None:
-    """Draw the live frames of the evaluator's or of an actor's episode in rerun."""
-    role, name = ("actor", actor) if actor is not None else ("evaluator", "evaluator")
+    """Draw an episode in rerun: the evaluator's or an actor's while it is driven, or a recorded one."""
+    role, name = ("actor", what) if what is not None else ("evaluator", "evaluator")
     with stop_on_signal() as stop:
         with needs("evaluator"):
             from athrl_evaluator.watch import watch as draw_frames
+            from athrl_evaluator.watch import watch_recording
+        if what is not None and what.endswith(".mcap"):
+            watch_recording(Path(what), serve=serve, bind=bind, stop=stop)
+            return
         draw_frames(connect=connect, run=run, role=role, name=name, serve=serve, bind=bind, stop=stop)

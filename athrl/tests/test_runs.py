@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 from athrl.errors import CommandError
-from athrl_protocol.run_file import default_toml
+from athrl_protocol.run_file import read_run_file, to_toml
 
 from athrl import runs
 
 
-def write_run(folder: Path, text: str = "") -> None:
+def write_run(folder: Path, *settings: str) -> None:
     folder.mkdir(parents=True)
-    (folder / "run.toml").write_text(text or default_toml())
+    (folder / "run.toml").write_text(to_toml(read_run_file(None, settings)))
 
 
 def test_taken_name_gets_a_number(tmp_path: Path) -> None:
@@ -24,14 +24,14 @@ def test_taken_name_gets_a_number(tmp_path: Path) -> None:
 
 
 def test_resumed_run_has_its_own_settings_but_for_the_overrides(tmp_path: Path) -> None:
-    write_run(tmp_path / "old", "[run]\nname = 'old'\nseed = 7\n[learner]\nbatch = 5\n")
+    write_run(tmp_path / "old", "run.name=old", "run.seed=7", "learner.batch=5")
     settings, folder = runs.resumed_settings("old", [f"run.folder={tmp_path}", "learner.batch=6"])
     assert folder == tmp_path / "old"
     assert (settings.run.seed, settings.learner.batch) == (7, 6)
 
 
 def test_run_goes_on_where_its_folder_is_found(tmp_path: Path) -> None:
-    write_run(tmp_path / "moved", "[run]\nname = 'old'\nfolder = 'elsewhere'\n")
+    write_run(tmp_path / "moved", "run.name=old", "run.folder=elsewhere")
     settings, _ = runs.resumed_settings(str(tmp_path / "moved"), [])
     assert runs.run_folder(settings) == tmp_path / "moved"
 

@@ -95,7 +95,7 @@ def _configuration(mode: str, **settings: Any) -> zenoh.Config:
 
 
 def _listen(address: str) -> zenoh.Session:
-    _check_free(address)
+    require_free(address)
     configuration = _configuration("router", **{"listen/endpoints": [address]})
     try:
         return zenoh.open(configuration)
@@ -111,7 +111,8 @@ def _in_use(address: str) -> AddressInUse:
     )
 
 
-def _check_free(address: str) -> None:
+def require_free(address: str) -> None:
+    """Raise AddressInUse if somebody listens at `address` already, ProtocolError if nobody could."""
     host, port = split_address(address)
     try:
         places = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)

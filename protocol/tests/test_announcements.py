@@ -262,6 +262,15 @@ def test_run_that_does_not_exist_is_answered_with_those_that_do(
     assert str(caught.value) == f"no run 'town05' at {address}: name one of those it has, town03"
 
 
+def test_the_only_run_needs_no_name_and_several_do(listen: Open, connect: Open) -> None:
+    learner, session = listen(), connect()
+    other = read_run_file(None, ["run.name=other"])
+    with serve_run_file(learner, RunFile()):
+        assert fetch_run_file(session, None, PATIENCE) == RunFile()
+        with serve_run_file(learner, other), pytest.raises(RunNotFound, match="name one of other, town03"):
+            fetch_run_file(session, None, PATIENCE)
+
+
 def test_learner_that_serves_nothing_is_named_after_the_timeout(
     listen: Open, connect: Open, address: str
 ) -> None:

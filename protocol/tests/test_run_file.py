@@ -124,6 +124,15 @@ def test_mistake_in_an_override_is_one_line_that_names_it(override: str, parts: 
         assert part in error, error
 
 
+def test_a_file_that_was_cut_off_is_not_taken_for_a_whole_one(tmp_path: Path) -> None:
+    whole = to_toml(RunFile())
+    (tmp_path / "run.toml").write_text(whole)
+    assert read_run_file(tmp_path / "run.toml", complete=True) == RunFile()
+    (tmp_path / "run.toml").write_text(whole[: whole.index("discount")])
+    with pytest.raises(RunFileError, match=r"run.toml: planner.discount is missing"):
+        read_run_file(tmp_path / "run.toml", complete=True)
+
+
 def test_override_over_a_broken_section_is_refused(tmp_path: Path) -> None:
     assert "should be a table" in _error(_write(tmp_path, "learner = 3"), "learner.batch=64")
 

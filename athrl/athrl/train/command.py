@@ -38,7 +38,7 @@ def train(
     viewer_port: Annotated[
         int,
         typer.Option(min=0, max=65535, metavar="PORT", help="Where rerun viewers connect; 0: no viewers."),
-    ] = 9876,
+    ] = 9877,
 ) -> None:
     """Train on this machine: a learner, actors and an evaluator as processes of their own.
 

@@ -11,6 +11,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from athrl.errors import CommandError
 from athrl.stopping import LIFELINE
 
 # Numerical libraries start a thread for every core unless told otherwise; the services share the cores.
@@ -41,8 +42,12 @@ class ServiceProcess:
         environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}
         if self.one_thread:
             environment.update(dict.fromkeys(_ONE_THREAD, "1"))
-        self.log.parent.mkdir(parents=True, exist_ok=True)
-        with self.log.open("ab") as log:
+        try:
+            self.log.parent.mkdir(parents=True, exist_ok=True)
+            log = self.log.open("ab")
+        except OSError as error:
+            raise CommandError(f"cannot write {self.log}: {(error.strerror or str(error)).lower()}") from None
+        with log:
             self._log_start = log.tell()
             self._process = subprocess.Popen(
                 [*self.command, *self.arguments, *(extra_arguments or [])],

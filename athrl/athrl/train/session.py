@@ -7,6 +7,7 @@ import time
 from contextlib import ExitStack
 
 from athrl_protocol import LearnerNotFound, Phase, RunNotFound
+from athrl_protocol.session import require_free
 
 from athrl.errors import CommandError
 from athrl.run_view import RunSnapshot, RunView
@@ -55,6 +56,7 @@ class TrainingSession:
 
     def _run(self, stop: threading.Event) -> bool:
         self._display.say(f"run {self._plan.settings.run.name} in {self._plan.folder}: starting the learner")
+        require_free(self._plan.settings.network.listen)
         self._supervisor.start(self._learner)
         with ExitStack() as stack:
             view = self._open_view(stop, stack)

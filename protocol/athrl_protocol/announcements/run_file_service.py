@@ -30,27 +30,31 @@ def serve_run_file(session: zenoh.Session, run_file: RunFile) -> NewestPublisher
 
 
 def fetch_run_file(
-    session: zenoh.Session, run: str, timeout: float, stop: threading.Event | None = None
+    session: zenoh.Session, run: str | None, timeout: float, stop: threading.Event | None = None
 ) -> RunFile:
-    """Ask the learner for the run file of `run`.
+    """Ask the learner for the run file of `run`, or of the only run that is there.
 
     Args:
         session: an open session to the learner.
-        run: name of the run.
+        run: name of the run; None if there is but one.
         timeout: seconds to wait for a learner.
         stop: set by somebody else to give up waiting early.
 
     Raises:
-        RunNotFound: other runs are served there; the text names them.
+        RunNotFound: other runs are served there, or several; the text names them.
         LearnerNotFound: nobody serves any run there within the timeout, or `stop` was set.
         InvalidMessage: the learner is of another release.
         RunFileError: the learner's run file is not valid in this release.
     """
     stop = stop or threading.Event()
     started = time.monotonic()
-    key = Keys(run).run_file
+    key = EVERY_RUN_FILE if run is None else Keys(run).run_file
     while True:
-        for payload in _ask(session, key).values():
+        found = _ask(session, key)
+        if len(found) > 1:
+            names = ", ".join(sorted(run_of(each) for each in found))
+            raise RunNotFound(f"there are several runs at {address_of(session)}: name one of {names}")
+        for payload in found.values():
             return RunFile.from_json(decode_message(athrl_pb2.RunFile, payload).json)
         waited = time.monotonic() - started
         others = sorted(run_of(other) for other in _ask(session, EVERY_RUN_FILE))
@@ -60,7 +64,8 @@ def fetch_run_file(
             )
         if waited >= timeout or stop.wait(PAUSE_SECONDS):
             raise LearnerNotFound(
-                f"no learner serves run {run!r} at {address_of(session)} within {timeout:g} s: start it there"
+                f"no learner serves {'a run' if run is None else f'run {run!r}'} at {address_of(session)} "
+                f"within {timeout:g} s: start it there"
             )
 
 

@@ -16,17 +16,22 @@ from athrl_protocol.run_file.documentation import sections, settings, to_toml_va
 from athrl_protocol.run_file.root import RunFile
 
 
-def read_run_file(path: str | Path | None, overrides: Sequence[str] = ()) -> RunFile:
+def read_run_file(
+    path: str | Path | None, overrides: Sequence[str] = (), *, complete: bool = False
+) -> RunFile:
     """Read and validate a run file.
 
     Args:
         path: a TOML file; None for the defaults.
         overrides: `section.key=value` with a TOML value; text needs no quotes. The last one counts.
+        complete: whether every setting has to be there, as in the file that a run was started with.
 
     Raises:
         RunFileError: one line with the file or override, the key, its value and what it should be.
     """
     values = _read_toml(Path(path)) if path is not None else {}
+    if complete:
+        _require_every_setting(values, str(path))
     overridden: dict[str, str] = {}
     for override in overrides:
         name, value = _parse_override(override)
@@ -38,6 +43,16 @@ def read_run_file(path: str | Path | None, overrides: Sequence[str] = ()) -> Run
         return RunFile.model_validate(values)
     except ValidationError as error:
         raise RunFileError(_describe(error, source, overridden)) from None
+
+
+def _require_every_setting(values: dict[str, Any], source: str) -> None:
+    """A file that was cut off is still TOML; with defaults for what it lost it would be another run."""
+    for setting in settings():
+        table = values.get(setting.section)
+        if not isinstance(table, dict) or setting.key not in table:
+            raise RunFileError(
+                f"{source}: {setting.name} is missing, the file is damaged: put back what the run began with"
+            )
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import rerun as rr
-from athrl_protocol import Frame, decode_frame
+from athrl_protocol import Frame, ProtocolError, decode_frame
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 
@@ -15,12 +15,18 @@ from athrl_evaluator.drawing import APPLICATION, SceneDrawing, default_blueprint
 from athrl_evaluator.recordings import FRAME_TOPIC
 
 
+class InvalidRecording(ProtocolError):  # noqa: N818  (the name says what is wrong)
+    """A file is not a recorded episode."""
+
+
 def read_frames(path: Path) -> Iterator[Frame]:
     """The frames of a recording in their order; of a file that was cut off, all that is whole.
 
-    Raises ValueError for a file that is no recording of an episode, InvalidMessage for an other release's.
+    Raises InvalidRecording for a file that is no recorded episode, InvalidMessage for another release's.
     """
     count = 0
+    if not path.is_file():
+        raise InvalidRecording(f"{path} is not a recorded episode: there is no such file")
     with path.open("rb") as stream:
         reader = NonSeekingReader(stream, validate_crcs=True)
         try:
@@ -30,9 +36,9 @@ def read_frames(path: Path) -> Iterator[Frame]:
                     yield decode_frame(message.data)
         except (McapError, struct.error) as error:  # the latter where a file ends within a number
             if count == 0:
-                raise ValueError(f"{path} is not a recorded episode: {error}") from None
+                raise InvalidRecording(f"{path} is not a recorded episode: {error}") from None
     if count == 0:
-        raise ValueError(f"{path} is not a recorded episode: it has no {FRAME_TOPIC}")
+        raise InvalidRecording(f"{path} is not a recorded episode: it has no {FRAME_TOPIC}")
 
 
 def draw_recording(recording: Path, rerun_file: Path) -> None:

@@ -1,4 +1,4 @@
-"""`athrl watch`: draw a service's live frames in rerun.
+"""`athrl watch`: draw a service's live frames, or a recorded episode, in rerun.
 
 Frames come over Zenoh and wait in a short queue; when drawing is slower than they come, the oldest go.
 So neither a slow viewer nor one that hangs is felt by the service that is watched.
@@ -8,17 +8,32 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 
 import rerun as rr
-from athrl_protocol import Frame, LearnerNotFound, fetch_run_file, open_session, subscribe_frames
+import zenoh
+from athrl_protocol import (
+    Frame,
+    LearnerNotFound,
+    Phase,
+    PresenceWatcher,
+    RunNotFound,
+    StateSubscriber,
+    fetch_run_file,
+    open_session,
+    subscribe_frames,
+)
 from athrl_protocol.run_file import NetworkSection
 
 from athrl_evaluator.drawing import APPLICATION, SceneDrawing, default_blueprint
+from athrl_evaluator.recording_drawing import read_frames
 from athrl_evaluator.viewer import free_port, proxy_address, server_process, viewer_process
 
 QUEUE = 50  # frames
 POLL_SECONDS = 0.2
+ACTOR_SECONDS = 10.0  # within which an actor has to show that it is there
 
 
 class FrameQueue:
@@ -45,7 +60,7 @@ class FrameQueue:
 def watch(
     *,
     connect: str,
-    run: str,
+    run: str | None,
     role: str = "evaluator",
     name: str = "evaluator",
     serve: int | None = None,
@@ -54,8 +69,9 @@ def watch(
 ) -> None:
     """Draw the frames of the service `role`/`name` until `stop` is set or the viewer is closed.
 
-    Without `serve` a viewer is opened; with it a rerun server listens at `bind` and that port; its address is
-    printed. Raises ProtocolError when the learner or the run is not there, or the port is taken.
+    Without `serve` a viewer is opened; with it a rerun server listens at `bind` and that port until the run
+    is over; its address is printed. Without `run` it is the only one that is there. Raises ProtocolError
+    when the learner, the run or the actor is not there, or the port is taken.
     """
     stop = stop or threading.Event()
     frames = FrameQueue(QUEUE)
@@ -67,15 +83,12 @@ def watch(
             if stop.is_set():
                 return
             raise
-        fetch_run_file(
-            session, run, timeout=patience, stop=stop
-        )  # so that a wrong name is an error, not silence
+        run = fetch_run_file(session, run, timeout=patience, stop=stop).run.name
+        over = _over_when_gone(session, run, role, name, stack)
         port = free_port() if serve is None else serve
         bind = "127.0.0.1" if serve is None else bind
         process = stack.enter_context(viewer_process(port) if serve is None else server_process(bind, port))
-        stream = rr.RecordingStream(APPLICATION)
-        stack.callback(stream.disconnect)
-        stream.connect_grpc(proxy_address(bind, port), default_blueprint=default_blueprint())
+        stream = _connected(bind, port, stack)
         stack.enter_context(subscribe_frames(session, run, role, name, frames.put))
         print(f"watching {role} {name}: {proxy_address(bind, port)}", flush=True)
         drawing = SceneDrawing(stream)
@@ -83,3 +96,54 @@ def watch(
             frame = frames.take(POLL_SECONDS)
             if frame is not None:
                 drawing.draw(frame)
+            elif serve is not None and over():
+                print(f"run {run} is over", flush=True)
+                return
+
+
+def watch_recording(
+    recording: Path, *, serve: int | None, bind: str = "127.0.0.1", stop: threading.Event
+) -> None:
+    """Show a recorded episode in a viewer, or on a server, until `stop` is set or that is closed.
+
+    Raises ProtocolError when the file is no recording or the port is taken.
+    """
+    frames = list(read_frames(recording))
+    with ExitStack() as stack:
+        port = free_port() if serve is None else serve
+        bind = "127.0.0.1" if serve is None else bind
+        process = stack.enter_context(viewer_process(port) if serve is None else server_process(bind, port))
+        drawing = SceneDrawing(_connected(bind, port, stack))
+        for frame in frames:
+            drawing.draw(frame)
+        print(f"showing {recording}: {proxy_address(bind, port)}", flush=True)
+        while process.poll() is None and not stop.wait(POLL_SECONDS):
+            pass
+
+
+def _connected(bind: str, port: int, stack: ExitStack) -> rr.RecordingStream:
+    stream = rr.RecordingStream(APPLICATION)
+    stack.callback(stream.disconnect)
+    stream.connect_grpc(proxy_address(bind, port), default_blueprint=default_blueprint())
+    return stream
+
+
+def _over_when_gone(
+    session: zenoh.Session, run: str, role: str, name: str, stack: ExitStack
+) -> Callable[[], bool]:
+    """Return what tells whether the run is finished and the watched service gone.
+
+    Raises RunNotFound if it is an actor that is not there; the evaluator may come later.
+    """
+    presence = stack.enter_context(PresenceWatcher(session, run))
+    state = stack.enter_context(StateSubscriber(session, run))
+    if role == "actor" and not presence.wait_for(lambda present: (role, name) in present, ACTOR_SECONDS):
+        others = ", ".join(sorted(other for kind, other in presence.present() if kind == role)) or "none"
+        raise RunNotFound(f"run {run!r} has no {role} {name!r}; it has {others}")
+
+    def over() -> bool:
+        newest = state.newest()
+        finished = newest is not None and newest.phase is Phase.FINISHED
+        return finished and (role, name) not in presence.present()
+
+    return over

@@ -11,7 +11,7 @@ from athrl_evaluator.drivers import ReferenceDriver
 from athrl_evaluator.episodes import drive_episodes
 from athrl_evaluator.evaluate import make_batch
 from athrl_evaluator.onlookers import Recorder
-from athrl_evaluator.recording_drawing import draw_recording, read_frames
+from athrl_evaluator.recording_drawing import InvalidRecording, draw_recording, read_frames
 from athrl_evaluator.recordings import EpisodeRecording, prune_recordings
 from athrl_protocol import Frame
 from athrl_protocol.run_file import EnvironmentSection
@@ -70,7 +70,7 @@ def test_a_file_that_was_cut_off_gives_what_is_whole(recorded: tuple[Path, list]
 def test_a_file_that_is_no_recording_is_named(tmp_path: Path):
     file = tmp_path / "text.mcap"
     file.write_text("no recording")
-    with pytest.raises(ValueError, match=r"text\.mcap is not a recorded episode"):
+    with pytest.raises(InvalidRecording, match=r"text\.mcap is not a recorded episode"):
         list(read_frames(file))
 
 

@@ -10,9 +10,19 @@ from pathlib import Path
 
 import pytest
 import rerun_cli
+from athrl_evaluator.recordings import EpisodeRecording
 from athrl_evaluator.viewer import server_process
-from athrl_evaluator.watch import FrameQueue, watch
-from athrl_protocol import AddressInUse, Frame, FramePublisher, ProtocolError, RunNotFound
+from athrl_evaluator.watch import FrameQueue, watch, watch_recording
+from athrl_protocol import (
+    AddressInUse,
+    Frame,
+    FramePublisher,
+    Phase,
+    Presence,
+    ProtocolError,
+    RunNotFound,
+    announce_presence,
+)
 
 
 def free_port() -> int:
@@ -57,6 +67,13 @@ def test_an_empty_queue_is_not_waited_for_for_ever():
     assert queue.take(0.01) is None
 
 
+@pytest.fixture
+def actor(learner) -> Iterator[Presence]:
+    with announce_presence(learner.session, "test", "actor", "one") as presence:
+        yield presence
+
+
+@pytest.mark.usefixtures("actor")
 def test_frames_reach_a_viewer_of_the_rerun_server(learner, tmp_path: Path):
     port, stop = free_port(), threading.Event()
     arguments = {"connect": learner.address, "run": "test", "role": "actor", "name": "one", "serve": port}
@@ -72,6 +89,8 @@ def test_frames_reach_a_viewer_of_the_rerun_server(learner, tmp_path: Path):
             viewer = subprocess.Popen(
                 [
                     Path(rerun_cli.__file__).with_name("rerun"),
+                    "--port",
+                    "auto",  # not that of a viewer which somebody has open
                     f"rerun+http://127.0.0.1:{port}/proxy",
                     "--save",
                     file,
@@ -95,6 +114,7 @@ def test_frames_reach_a_viewer_of_the_rerun_server(learner, tmp_path: Path):
     assert not watching.is_alive()
 
 
+@pytest.mark.usefixtures("actor")
 def test_watching_ends_when_the_viewer_is_closed(learner, monkeypatch: pytest.MonkeyPatch):
     started: list[subprocess.Popen] = []
 
@@ -140,3 +160,60 @@ def test_a_machine_without_a_screen_is_told_how_to_watch(learner, monkeypatch: p
 def test_a_run_that_does_not_exist_is_named(learner):
     with pytest.raises(RunNotFound, match="'other'"):
         watch(connect=learner.address, run="other", serve=free_port())
+
+
+def test_an_actor_that_is_not_there_is_named_beside_those_that_are(learner, actor, monkeypatch):
+    monkeypatch.setattr("athrl_evaluator.watch.ACTOR_SECONDS", 1.0)
+    with pytest.raises(RunNotFound, match="no actor 'two'; it has one"):
+        watch(connect=learner.address, run="test", role="actor", name="two", serve=free_port())
+
+
+def test_a_server_of_viewers_ends_with_its_run(learner, actor):
+    arguments = {"connect": learner.address, "run": None, "role": "actor", "name": "one"}
+    watching = threading.Thread(target=watch, kwargs=arguments | {"serve": free_port()}, daemon=True)
+    watching.start()
+    learner.announce(Phase.FINISHED, 3)
+    watching.join(5)
+    assert watching.is_alive(), "the actor is still there"
+    actor.close()
+    watching.join(150)
+    assert not watching.is_alive()
+
+
+def test_a_recording_is_shown_as_it_was_seen_live(tmp_path: Path):
+    recording = EpisodeRecording(tmp_path / "episode.mcap")
+    for step in range(5):
+        recording.write(frame(step))
+    recording.finish()
+    port, stop, seen = free_port(), threading.Event(), tmp_path / "seen.rrd"
+    arguments = {"serve": port, "stop": stop}
+    showing = threading.Thread(
+        target=watch_recording, args=(tmp_path / "episode.mcap",), kwargs=arguments, daemon=True
+    )
+    showing.start()
+    deadline = time.monotonic() + 150
+    while not listens(port):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    program = Path(rerun_cli.__file__).with_name("rerun")
+    viewer = subprocess.Popen(
+        [program, "--port", "auto", f"rerun+http://127.0.0.1:{port}/proxy", "--save", seen]
+    )
+    try:
+        while not seen.exists() or b"car/ego/body" not in seen.read_bytes():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        viewer.kill()
+        viewer.wait()
+        stop.set()
+        showing.join(30)
+    assert not showing.is_alive()
+
+
+def listens(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=1).close()
+    except OSError:
+        return False
+    return True

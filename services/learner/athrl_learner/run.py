@@ -96,7 +96,7 @@ def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunF
     if resume is not None:
         if not (resume / "run.toml").is_file():
             raise CannotResume(f"{resume} holds no run to go on with: there is no run.toml in it")
-        return run_file or read_run_file(resume / "run.toml"), resume
+        return run_file or read_run_file(resume / "run.toml", complete=True), resume
     if run_file is None:
         raise ValueError("run_learner needs a run file, or a run to resume")
     return run_file, Path(run_file.run.folder) / run_file.run.name
