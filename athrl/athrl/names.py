@@ -1,10 +1,13 @@
-"""How services are named when nobody names them."""
+"""How services are named when nobody names them, and programs where somebody is told to call them."""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import socket
+import sys
+from pathlib import Path
 
 
 def host_name() -> str:
@@ -19,3 +22,10 @@ def own_name() -> str:
     when the container is started again.
     """
     return host_name() if os.getpid() == 1 else f"{host_name()}-{os.getpid()}"
+
+
+def program(name: str) -> str:
+    """Return how a program that was installed with this one is called: by its name, or where it lies."""
+    if shutil.which(name) is not None:
+        return name
+    return os.path.relpath(Path(sys.executable).parent / name)

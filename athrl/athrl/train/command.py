@@ -11,6 +11,7 @@ from rich.console import Console
 
 from athrl import runs
 from athrl.errors import say
+from athrl.names import program
 from athrl.options import RunFileOption, SetOption, overrides
 from athrl.stopping import stop_on_signal
 from athrl.train.closing import comparison_table, read_comparison
@@ -54,7 +55,7 @@ def train(
             session = TrainingSession(plan, supervisor, display, actors or actors_that_fit(), viewer_port)
             finished = session.run(stop)
     if not finished:
-        say(f"stopped; to go on: athrl train --resume {plan.folder}")
+        say(f"stopped; to go on: {program('athrl')} train --resume {plan.folder}")
         raise typer.Exit(INTERRUPTED)
     Console().print(comparison_table(read_comparison(plan.folder, since=began)))
     print(f"policy: {plan.folder / 'policies' / 'latest.onnx'}")

@@ -10,6 +10,7 @@ from athrl_protocol import LearnerNotFound, Phase, RunNotFound
 from athrl_protocol.session import require_free
 
 from athrl.errors import CommandError
+from athrl.names import program
 from athrl.run_view import RunSnapshot, RunView
 from athrl.train.display import Display
 from athrl.train.plan import Plan, is_free
@@ -100,7 +101,7 @@ class TrainingSession:
     def _start_viewer(self) -> list[str]:
         """Start the bridge to rerun where its port is free; return how to watch."""
         name, address = self._plan.settings.run.name, self._plan.address
-        by_command = f"athrl watch --connect {address} --run {name}"
+        by_command = f"{program('athrl')} watch --connect {address} --run {name}"
         if self._viewer_port == 0:
             return [f"to watch: {by_command}"]
         if not is_free(self._viewer_port):
@@ -108,7 +109,8 @@ class TrainingSession:
                 f"port {self._viewer_port} is in use, so no viewer is served there; to watch: {by_command}"
             ]
         self._supervisor.start(self._plan.viewer(self._viewer_port))
-        return [f"to watch: rerun rerun+http://127.0.0.1:{self._viewer_port}/proxy, or {by_command}"]
+        viewer = f"{program('rerun')} rerun+http://127.0.0.1:{self._viewer_port}/proxy"
+        return [f"to watch: {viewer}, or {by_command}"]
 
     def _over(self, snapshot: RunSnapshot) -> bool:
         """Return whether learner and evaluator are done, and see the actors off when the learner is."""
