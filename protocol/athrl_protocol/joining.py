@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import re
-import socket
 import sys
 import threading
 import time
@@ -28,12 +25,11 @@ log = logging.getLogger(__name__)
 
 
 def join_run(
-    *, role: str, connect: str, run: str, name: str | None, stop: threading.Event, stack: ExitStack
-) -> tuple[zenoh.Session, RunFile, str] | None:
-    """Return session, run file and the name that was taken; None if `stop` was set meanwhile.
+    *, role: str, connect: str, run: str, name: str, stop: threading.Event, stack: ExitStack
+) -> tuple[zenoh.Session, RunFile] | None:
+    """Return session and run file once the name is taken; None if `stop` was set meanwhile.
 
-    `role` is actor or evaluator. Without a `name` the host's name and the process's number are it. What must
-    be closed is put on `stack`.
+    `role` is actor or evaluator. What must be closed is put on `stack`.
 
     Raises:
         LearnerNotFound: nobody answers at the address.
@@ -49,8 +45,7 @@ def join_run(
             if stop.is_set():
                 return None
             raise
-    taken = _take_name(session, run, role, name, stop, stack)
-    return None if taken is None else (session, run_file, taken)
+    return (session, run_file) if _take_name(session, run, role, name, stop, stack) else None
 
 
 @contextmanager
@@ -67,29 +62,18 @@ def _notice_at_a_terminal(text: str) -> Iterator[None]:
 
 
 def _take_name(
-    session: zenoh.Session, run: str, role: str, name: str | None, stop: threading.Event, stack: ExitStack
-) -> str | None:
-    """Announce the service under its name once nobody else has it; None if `stop` was set meanwhile."""
+    session: zenoh.Session, run: str, role: str, name: str, stop: threading.Event, stack: ExitStack
+) -> bool:
+    """Announce the service under its name once nobody else has it; False if `stop` was set meanwhile."""
     with PresenceWatcher(session, run) as watcher:
         _wait_until(lambda: any(kind == "learner" for kind, _ in watcher.present()), PRESENCE_SECONDS, stop)
-        name = name or _own_name(role, {taken for kind, taken in watcher.present() if kind == role})
         free = _wait_until(lambda: (role, name) not in watcher.present(), NAME_SECONDS, stop)
     if stop.is_set():
-        return None
+        return False
     if not free:
         raise NameTaken(f"the run {run} already has an {role} {name!r}; start this one with another --name")
     stack.enter_context(announce_presence(session, run, role, name))
-    return name
-
-
-def _own_name(role: str, taken: set[str]) -> str:
-    """The host's name and the process's number, and another number behind it where even that is taken."""
-    host = re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().lower()).strip("-") or role
-    names = [
-        f"{host}-{os.getpid()}",
-        *(f"{host}-{os.getpid()}-{number}" for number in range(2, len(taken) + 3)),
-    ]
-    return next(name for name in names if name not in taken)
+    return True
 
 
 def _wait_until(reached: Callable[[], bool], seconds: float, stop: threading.Event) -> bool:

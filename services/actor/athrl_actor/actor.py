@@ -41,18 +41,18 @@ DRAIN_SECONDS = 5.0  # for handing over what is left at the end
 log = logging.getLogger(__name__)
 
 
-def run_actor(*, connect: str, run: str, name: str | None, stop: threading.Event) -> None:
+def run_actor(*, connect: str, run: str, name: str, stop: threading.Event) -> None:
     """Drive until the run is finished or `stop` is set.
 
-    Raises ProtocolError when the learner or the run is not there or another live actor has the name (without
-    a `name` one is made), and InvalidPolicy when the run's policy cannot be run.
+    Raises ProtocolError when the learner or the run is not there or another live actor has the name,
+    and InvalidPolicy when the run's policy cannot be run.
     """
     with ExitStack() as stack:
         joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)
         if joined is None:
             return
-        session, run_file, taken = joined
-        Actor(session, run_file, taken, stop, stack).run()
+        session, run_file = joined
+        Actor(session, run_file, name, stop, stack).run()
 
 
 class Actor:

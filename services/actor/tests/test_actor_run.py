@@ -24,7 +24,7 @@ JOIN_SECONDS = 60
 class Service:
     """An actor in a thread."""
 
-    def __init__(self, address: str, name: str | None) -> None:
+    def __init__(self, address: str, name: str) -> None:
         self.stop = threading.Event()
         self.error: Exception | None = None
         self._address = address
@@ -52,7 +52,7 @@ Start = Callable[..., Service]
 def start(learner) -> Iterator[Start]:
     services: list[Service] = []
 
-    def begin(name: str | None = "one") -> Service:
+    def begin(name: str = "one") -> Service:
         services.append(Service(learner.address, name))
         return services[-1]
 
@@ -224,17 +224,6 @@ def test_a_taken_name_is_an_error_that_says_what_to_do(
         with pytest.raises(NameTaken, match=r"already has an actor 'one'.*--name"):
             service.join()
         service.error = None
-
-
-def test_a_made_up_name_is_never_a_taken_one(learner, start: Start):
-    learner.publish(0)
-    services = [start(None)]
-    assert learner.presence.wait_for(lambda present: len(present) == 2, 30)
-    services.append(start(None))
-    assert learner.presence.wait_for(lambda present: len(present) == 3, 30)
-    for service in services:
-        service.stop.set()
-        service.join()
 
 
 def test_a_run_that_does_not_exist_is_an_error_that_names_those_that_do(learner):

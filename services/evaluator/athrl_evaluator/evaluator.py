@@ -49,7 +49,7 @@ LAST_POLICY_SECONDS = 5.0  # how long the last policy may come later than the ne
 log = logging.getLogger(__name__)
 
 
-def run_evaluator(*, connect: str, run: str, name: str | None, folder: Path, stop: threading.Event) -> None:
+def run_evaluator(*, connect: str, run: str, name: str, folder: Path, stop: threading.Event) -> None:
     """Evaluate until the run is finished and compared, or `stop` is set.
 
     Results are written under `folder/run`. Raises ProtocolError when the learner or the run is not there, or
@@ -59,7 +59,7 @@ def run_evaluator(*, connect: str, run: str, name: str | None, folder: Path, sto
         joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)
         if joined is None:
             return
-        session, run_file, name = joined
+        session, run_file = joined
         evaluator = Evaluator(session, run_file, name, ResultsFolder(folder, run), stop, stack)
         try:
             evaluator.run()
