@@ -40,7 +40,9 @@ def resumed_settings(run: str, overrides: Sequence[str]) -> tuple[RunFile, Path]
         CommandError: there is no such run.
         RunFileError: its run file or an override is wrong.
     """
-    parent = Path(read_run_file(None, overrides).run.folder)
+    # The other overrides belong to the run's own settings, which are not known yet.
+    where = [override for override in overrides if override.partition("=")[0].strip() == "run.folder"]
+    parent = Path(read_run_file(None, where).run.folder)
     folder = Path(run) if holds_run(Path(run)) else parent / run
     if not holds_run(folder):
         known = sorted(path.name for path in parent.glob("*") if holds_run(path))

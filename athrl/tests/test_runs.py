@@ -30,6 +30,12 @@ def test_resumed_run_has_its_own_settings_but_for_the_overrides(tmp_path: Path) 
     assert (settings.run.seed, settings.learner.batch) == (7, 6)
 
 
+def test_overrides_of_a_resumed_run_are_checked_beside_its_own_settings(tmp_path: Path) -> None:
+    write_run(tmp_path / "small", "exploration.random_decisions=50", "run.environment_steps=100")
+    settings, _ = runs.resumed_settings(str(tmp_path / "small"), ["run.environment_steps=200"])
+    assert settings.run.environment_steps == 200
+
+
 def test_run_goes_on_where_its_folder_is_found(tmp_path: Path) -> None:
     write_run(tmp_path / "moved", "run.name=old", "run.folder=elsewhere")
     settings, _ = runs.resumed_settings(str(tmp_path / "moved"), [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -56,9 +57,9 @@ def restore_snapshot(content: CheckpointContent, agent: AtHRL, store: Experience
         store.limiter.load_state(state["limiter"])
         store.restore(int(state["environment_steps"]))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
+        reason = textwrap.shorten(str(error), 200)  # torch names every tensor
         raise CannotResume(
-            f"the checkpoint does not fit the run's settings, was one overridden? {reason}"
+            f"the checkpoint does not fit the run's settings; was one overridden? {reason}"
         ) from None
     if store.limiter.warmed_up and not len(store.replay):
         # The limiter would permit samples of nothing, for ever.
