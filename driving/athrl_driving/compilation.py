@@ -34,6 +34,11 @@ def inlined(function: Function) -> Function:
     return numba.njit(nogil=True, forceinline=True, no_cpython_wrapper=True)(function)
 
 
+def inner(function: Function) -> Function:
+    """Compile a big function that several compiled functions call, once for all of them."""
+    return numba.njit(nogil=True, no_cpython_wrapper=True)(function)
+
+
 @cache
 def cache_folder() -> str:
     """Return the folder for machine code: in $NUMBA_CACHE_DIR, beside the package, or in the user's cache.
