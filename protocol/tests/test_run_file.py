@@ -85,6 +85,7 @@ def test_served_run_file_of_another_release_is_refused() -> None:
         ("[planner]\nlearning_rate = nan", ["planner.learning_rate = nan", "should be number, > 0"]),
         ("[planner]\ntwin_critics = 1", ["planner.twin_critics = 1", "should be true or false"]),
         ("[environment]\nimage_size = 48", ["environment.image_size = 48", "should be 32 or 64"]),
+        ('[environment]\ntown = "town05"', ['environment.town = "town05"', "town02, town03, town04, or an"]),
         ('[run]\nname = "Town 03"', ['run.name = "Town 03"', 'should be text like "town03"']),
         ("[run]\nname = 2024-01-01", ["run.name", "should be text"]),
         ('[network]\nlisten = "7447"', ['network.listen = "7447"', "tcp/127.0.0.1:7447"]),

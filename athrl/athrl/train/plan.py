@@ -34,6 +34,18 @@ def require_services() -> None:
             )
 
 
+def require_map(town: str) -> None:
+    """Raise `CommandError`, in one line, for a map file that no actor could drive in."""
+    if not town.endswith(".xodr"):
+        return
+    from athrl_driving.maps import load_town
+
+    try:
+        load_town(town)
+    except ValueError as error:
+        raise CommandError(f"environment.town: {error}") from None
+
+
 class Plan:
     """The services of one run, each with its command line, its log and what its death means."""
 

@@ -41,7 +41,11 @@ class RunSection(Section):
 class EnvironmentSection(Section):
     """The town and what the car perceives."""
 
-    town: Literal["town03"] = Field(default="town03", description="The town to drive in.")
+    town: str = Field(
+        default="town03",
+        pattern=r"^(town02|town03|town04|.+\.xodr)$",
+        description="The town to drive in: town02, town03, town04, or an OpenDRIVE file of yours, PATH.xodr.",
+    )
     vehicles: int = Field(default=100, ge=0, le=1000, description="Background vehicles.")
     image_size: Literal[32, 64] = Field(
         default=32, description="Height and width of bird's eye view and lidar, pixels."
