@@ -34,7 +34,7 @@ def touching_pairs(background: Background) -> int:
 
 def drive(town: Town, vehicles: int, seed: int) -> tuple[float, float, int]:
     """Return mean speed (m/s), longest standstill (s) and touching pairs over ten minutes."""
-    road = TrafficRoad(town, vehicles, np.random.default_rng(seed))
+    road = TrafficRoad(town, vehicles, np_random=np.random.default_rng(seed))
     road.spawn_background()
     background = road.background
     still, longest, touching, speeds = np.zeros(vehicles), 0.0, touching_pairs(background), 0.0
@@ -73,7 +73,7 @@ def test_a_standing_ego_is_not_run_over(town: Town, seed: int) -> None:
     random = np.random.default_rng(seed)
     row = int(random.integers(len(town.graph.length)))
     x, y, heading = lane_pose(town.graph, row, random.uniform(0.0, town.graph.length[row]))
-    road = TrafficRoad(town, 150, random)
+    road = TrafficRoad(town, 150, np_random=random)
     ego = Vehicle(road, (x, y), heading + random.choice([0.0, 0.0, 0.4]), speed=0.0)
     road.vehicles.append(ego)
     road.ego_path = np.array([row])

@@ -24,7 +24,7 @@ def conflicts(town: Town, movement: int) -> np.ndarray:
 
 def road_with_ego(town: Town, row: int, s: float, vehicles: int, seed: int) -> TrafficRoad:
     """Return a road with a standing ego at `s` metres along a lane."""
-    road = TrafficRoad(town, vehicles, np.random.default_rng(seed))
+    road = TrafficRoad(town, vehicles, np_random=np.random.default_rng(seed))
     x, y, heading = lane_pose(town.graph, row, s)
     road.vehicles.append(Vehicle(road, (x, y), heading, speed=0.0))
     road.spawn_background((x, y))
@@ -104,7 +104,7 @@ def test_an_ego_in_a_junction_without_right_of_way_blocks_what_crosses_it(town: 
 
 
 def test_nobody_enters_a_junction_without_holding_its_way(town: Town) -> None:
-    road = TrafficRoad(town, 150, np.random.default_rng(4))
+    road = TrafficRoad(town, 150, np_random=np.random.default_rng(4))
     road.spawn_background()
     background, right_of_way, graph = road.background, road.traffic.right_of_way, town.graph
     entered = 0

@@ -19,7 +19,7 @@ def town() -> Town:
 
 
 def busy_road(town: Town, seed: int, vehicles: int = 100) -> TrafficRoad:
-    road = TrafficRoad(town, vehicles, np.random.default_rng(seed))
+    road = TrafficRoad(town, vehicles, np_random=np.random.default_rng(seed))
     road.spawn_background()
     return road
 
@@ -40,7 +40,7 @@ def test_the_same_seed_gives_the_same_episode(town: Town) -> None:
 
 def test_looking_changes_nothing(town: Town) -> None:
     def episode(looks: bool) -> np.ndarray:
-        road = TrafficRoad(town, 60, np.random.default_rng(1))
+        road = TrafficRoad(town, 60, np_random=np.random.default_rng(1))
         row = int(town.movements.origin[0])
         x, y, heading = lane_pose(town.graph, row, 20.0)
         road.vehicles.append(Vehicle(road, (x, y), heading, speed=6.0))
@@ -60,17 +60,17 @@ def test_the_start_of_the_ego_is_clear(town: Town) -> None:
     row = int(np.argmax(town.graph.length))
     x, y, _ = lane_pose(town.graph, row, 60.0)
     for seed in range(20):
-        road = TrafficRoad(town, 300, np.random.default_rng(seed))
+        road = TrafficRoad(town, 300, np_random=np.random.default_rng(seed))
         road.spawn_background(keep_clear_of=(x, y))
         assert np.hypot(road.background.x - x, road.background.y - y).min() > 8.0
 
 
 def test_too_many_vehicles_are_refused_in_one_line(town: Town) -> None:
-    road = TrafficRoad(town, 5000, np.random.default_rng(0))
+    road = TrafficRoad(town, 5000, np_random=np.random.default_rng(0))
     with pytest.raises(ValueError, match=r"vehicles_count is 5000, but the town has room for \d+ at most"):
         road.spawn_background()
     with pytest.raises(ValueError, match="vehicles_count is -1"):
-        TrafficRoad(town, -1, np.random.default_rng(0))
+        TrafficRoad(town, -1, np_random=np.random.default_rng(0))
 
 
 def test_background_vehicles_are_highway_envs(town: Town) -> None:
@@ -102,7 +102,7 @@ def test_highway_envs_renderer_draws_the_traffic(town: Town, monkeypatch: pytest
 
 
 def test_hitting_a_vehicle_is_a_crash_of_both(town: Town) -> None:
-    road = TrafficRoad(town, 30, np.random.default_rng(0))
+    road = TrafficRoad(town, 30, np_random=np.random.default_rng(0))
     road.spawn_background()
     target = road.vehicles[7]
     behind = target.position - 12.0 * target.direction
@@ -119,7 +119,7 @@ def test_hitting_a_vehicle_is_a_crash_of_both(town: Town) -> None:
 
 
 def test_a_road_without_background_works(town: Town) -> None:
-    road = TrafficRoad(town, 0, np.random.default_rng(0))
+    road = TrafficRoad(town, 0, np_random=np.random.default_rng(0))
     x, y, heading = lane_pose(town.graph, 0, 5.0)
     ego = Vehicle(road, (x, y), heading, speed=5.0)
     road.vehicles.append(ego)

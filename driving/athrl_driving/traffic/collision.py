@@ -6,6 +6,9 @@ from athrl_driving.compilation import compiled
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.traffic.state import NOBODY, Background
 
+LEVEL_HEIGHT = 2.5
+"""Metres of elevation above which two vehicles are on different levels of a road."""
+
 
 @compiled
 def rectangles_touch(
@@ -30,9 +33,9 @@ def rectangles_touch(
 
 @compiled
 def first_touched(background: Background, ego: Floats) -> int:
-    """Return the first vehicle that the ego (x, y, heading, speed, length, width) touches, or -1."""
+    """Return the first vehicle of an environment's view that the ego (`EGO_FIELDS`) touches, or -1."""
     for row in range(background.x.shape[0]):
-        if rectangles_touch(
+        if abs(background.elevation[row] - ego[6]) <= LEVEL_HEIGHT and rectangles_touch(
             ego[0], ego[1], ego[2], ego[4], ego[5],
             background.x[row], background.y[row], background.heading[row],
             background.length[row], background.width[row],

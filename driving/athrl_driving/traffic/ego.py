@@ -5,7 +5,7 @@ import math
 from athrl_driving.compilation import inlined
 from athrl_driving.maps.geometry import lane_project
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
-from athrl_driving.traffic.state import EgoOnLanes
+from athrl_driving.traffic.state import NOBODY, EgoOnLanes, Traffic
 
 ON_THE_LINE = 1.5
 """Metres beyond a stop line that do not count as being in the junction."""
@@ -29,7 +29,7 @@ def forget_ego(covered: EgoOnLanes) -> None:
 
 @inlined
 def cover_lanes(graph: LaneGraph, covered: EgoOnLanes, ego: Floats) -> None:
-    """Note what the ego covers. `ego` is x, y, heading, speed, length, width."""
+    """Note what the ego covers. `ego` is as in `state.EGO_FIELDS`."""
     forget_ego(covered)
     reach = 0.5 * math.hypot(ego[4], ego[5])
     for lane in range(graph.length.shape[0]):
@@ -83,8 +83,31 @@ def locate_on_path(graph: LaneGraph, ego: Floats, path: Integers) -> tuple[int, 
     best_place, best_s, best = -1, 0.0, math.inf
     for place in range(min(path.shape[0], _LOCATED_WITHIN)):
         lane = path[place]
+        if lane < 0:
+            break
         s, lateral = lane_project(graph, lane, ego[0], ego[1])
         distance = abs(lateral) + max(-s, 0.0) + max(s - graph.length[lane], 0.0)
         if distance < best and distance <= graph.width[lane]:
             best_place, best_s, best = place, s, distance
     return best_place, best_s
+
+
+@inlined
+def ego_leader(traffic: Traffic) -> tuple[float, float]:
+    """Return (gap m, speed m/s) of the next vehicle on the ego's path after a look; (inf, 0) without one."""
+    row = traffic.background.lane.shape[0]
+    return float(traffic.scratch.gap[row]), float(traffic.scratch.leader_speed[row])
+
+
+@inlined
+def ego_may_enter(traffic: Traffic) -> bool:
+    """Tell whether the ego holds the next movement on its path, or none is near, as of the last look."""
+    row = traffic.background.lane.shape[0]
+    ahead = traffic.right_of_way.ahead[row]
+    return ahead == NOBODY or traffic.right_of_way.granted[row] == ahead
+
+
+@inlined
+def ego_stop_line(traffic: Traffic) -> float:
+    """Return the distance (m) from the ego's front to its next stop line; infinite where none is near."""
+    return float(traffic.right_of_way.line_distance[traffic.background.lane.shape[0]])

@@ -52,6 +52,8 @@ def look_ahead(
     present = lane_movement[path[place]]
     for index in range(place, path.shape[0]):
         lane = path[index]
+        if lane < 0:
+            break
         movement = lane_movement[lane]
         if movement >= 0 and movement != present and ahead == NOBODY:
             ahead, line = movement, base - 0.5 * length

@@ -6,18 +6,22 @@ import math
 
 import numpy as np
 from highway_env.road.road import Road
-from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from athrl_driving.maps import Town
 from athrl_driving.traffic.collision import first_touched
 from athrl_driving.traffic.spawn import place_vehicles
-from athrl_driving.traffic.state import NOBODY, Background, new_traffic
+from athrl_driving.traffic.state import (
+    EGO_FIELDS,
+    NOBODY,
+    Background,
+    Traffic,
+    environment_views,
+    new_traffic,
+)
 from athrl_driving.traffic.tick import tick
 from athrl_driving.traffic.vehicle import BackgroundVehicle
-
-_NO_EGO = np.empty(0)
 
 
 class TrafficRoad(Road):
@@ -29,20 +33,26 @@ class TrafficRoad(Road):
 
     `ego_path` (int64, rows of the lane graph that the ego will drive, the present one among the first) is
     for the environment to set: the ego asks for the junctions on it like everybody else.
+
+    `traffic` is the arrays to look at, of which the road shows one environment, or how many vehicles a
+    road of its own shall have; `ValueError` where that is negative. `np_random` places the vehicles.
     """
 
     def __init__(
-        self, town: Town, vehicles_count: int, np_random: np.random.Generator, record_history: bool = False
+        self,
+        town: Town,
+        traffic: Traffic | int,
+        environment: int = 0,
+        np_random: np.random.Generator | None = None,
+        record_history: bool = False,
     ) -> None:
         super().__init__(network=town.network, np_random=np_random, record_history=record_history)
-        if vehicles_count < 0:
-            raise ValueError(f"vehicles_count is {vehicles_count}, but it must be 0 or more")
         self.town = town
-        self.traffic = new_traffic(
-            town.graph, town.movements, vehicles_count, float(IDMVehicle.LENGTH), float(IDMVehicle.WIDTH)
-        )
+        self.arrays = new_traffic(town, 1, traffic) if isinstance(traffic, int) else traffic
+        self.environment = environment
+        self.traffic = environment_views(self.arrays, environment)
         self.ego_path: NDArray[np.int64] = np.empty(0, dtype=np.int64)
-        self._ego_state = np.empty(6)
+        self._ego_state = np.zeros(EGO_FIELDS)
         self.vehicles: list[Vehicle]
 
     @property
@@ -55,11 +65,10 @@ class TrafficRoad(Road):
     ) -> None:
         """Place the background vehicles, no centre within `clearance` metres of the point `keep_clear_of`.
 
-        They start with speeds at which they can stop behind each other, behind the ego and at their stop
-        lines.
         Raises `ValueError` where the town has no room.
         """
-        place_vehicles(self.traffic, self.np_random, keep_clear_of, clearance, self._observed_ego())
+        ego = self._observed_ego()
+        place_vehicles(self.arrays, self.environment, self.np_random, keep_clear_of, clearance, ego)
         self.vehicles = [vehicle for vehicle in self.vehicles if not isinstance(vehicle, BackgroundVehicle)]
         self.vehicles += [BackgroundVehicle(self, row) for row in range(len(self.background.lane))]
 
@@ -70,7 +79,7 @@ class TrafficRoad(Road):
 
     def step(self, dt: float) -> None:
         """Move everybody on by `dt` seconds and see what the ego hits; traffic sees where the ego was."""
-        tick(*self.traffic, self._observed_ego(), self.ego_path, dt)
+        tick(self.arrays, self.environment, self._observed_ego(), self.ego_path, dt)
         if not self._has_ego():
             return
         ego = self.vehicles[0]
@@ -87,7 +96,7 @@ class TrafficRoad(Road):
 
         The gap is from bumper to bumper along the path.
         """
-        tick(*self.traffic, self._observed_ego(), self.ego_path, 0.0)
+        tick(self.arrays, self.environment, self._observed_ego(), self.ego_path, 0.0)
         row = len(self.background.lane)
         gap = float(self.traffic.scratch.gap[row])
         return (gap, float(self.traffic.scratch.leader_speed[row])) if math.isfinite(gap) else (math.inf, 0.0)
@@ -105,10 +114,13 @@ class TrafficRoad(Road):
         return bool(self.vehicles) and not isinstance(self.vehicles[0], BackgroundVehicle)
 
     def _observed_ego(self) -> NDArray[np.float64]:
+        state = self._ego_state
+        state[7] = float(self._has_ego())
         if not self._has_ego():
-            return _NO_EGO
-        ego, state = self.vehicles[0], self._ego_state
+            return state
+        ego = self.vehicles[0]
         state[0], state[1] = ego.position
         state[2], state[3] = ego.heading, ego.speed
         state[4], state[5] = ego.LENGTH, ego.WIDTH
+        state[6] = getattr(ego, "elevation", 0.0)
         return state

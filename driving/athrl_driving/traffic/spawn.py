@@ -10,7 +10,7 @@ from athrl_driving.maps.geometry import lane_pose
 from athrl_driving.maps.lane_graph import Floats, LaneGraph
 from athrl_driving.traffic.paths import plan_from
 from athrl_driving.traffic.right_of_way import LINE_BRAKING
-from athrl_driving.traffic.state import Background, Traffic
+from athrl_driving.traffic.state import NOBODY, Background, Traffic, environment_views
 from athrl_driving.traffic.tick import LINE_MARGIN, tick
 
 SPACING = 12.0
@@ -34,16 +34,19 @@ def starting_places(graph: LaneGraph) -> tuple[NDArray[np.int64], NDArray[np.flo
 
 def place_vehicles(
     traffic: Traffic,
+    e: int,
     np_random: np.random.Generator,
-    clear_of: tuple[float, float] | None,
+    keep_clear_of: tuple[float, float] | None,
     clearance: float,
     ego: Floats,
 ) -> None:
-    """Place every vehicle anew, none within `clearance` metres of `clear_of`; `ego` as in `tick.look`.
+    """Place every vehicle of environment `e` anew, none within `clearance` metres of `keep_clear_of`.
 
-    Raises `ValueError` where the town has no room.
+    They start with speeds at which they can stop behind each other, behind the ego (float64 [8]) and at their
+    stop lines. Raises `ValueError` where the town has no room.
     """
-    background = traffic.background
+    view = environment_views(traffic, e)
+    background, right_of_way = view.background, view.right_of_way
     count = len(background.lane)
     lanes, along = starting_places(traffic.graph)
     order = np_random.permutation(len(lanes))
@@ -51,19 +54,32 @@ def place_vehicles(
     desired_speeds = np_random.uniform(7.0, 9.0, count)
     haste = np_random.uniform(0.5, 1.0, count)
     background.random_state[:] = np_random.integers(0, 2**63, count, dtype=np.uint64)
-    x, y = clear_of if clear_of is not None else (math.inf, math.inf)
+    x, y = keep_clear_of if keep_clear_of is not None else (math.inf, math.inf)
+    _forget(view)
     placed = _place(traffic.graph, background, lanes, along, x, y, clearance)
     if placed < count:
         raise ValueError(f"vehicles_count is {count}, but the town has room for {placed} at most")
     background.desired_speed[:] = desired_speeds
     # A speed with which everybody can still stop behind its leader and before its line.
     background.speed[:] = 0.0
-    tick(*traffic, ego, np.empty(0, dtype=np.int64), 0.0)
-    line = traffic.right_of_way.line_distance[:count] - LINE_MARGIN
-    room = np.minimum(traffic.scratch.gap[:count] - 2.0, line)
+    tick(traffic, e, ego, np.empty(0, dtype=np.int64), 0.0)
+    line = right_of_way.line_distance[:count] - LINE_MARGIN
+    room = np.minimum(view.scratch.gap[:count] - 2.0, line)
     safe = np.sqrt(2.0 * LINE_BRAKING * np.clip(room - _REACTION_ROOM, 0.0, None))
     speeds = haste * np.minimum(desired_speeds, traffic.pace[background.lane])
     background.speed[:] = np.minimum(speeds, safe)
+
+
+def _forget(view: Traffic) -> None:
+    """Clear what an episode before has left."""
+    right_of_way, background = view.right_of_way, view.background
+    for held in (right_of_way.crossing, right_of_way.granted, right_of_way.ahead):
+        held[:] = NOBODY
+    right_of_way.waiting_since[:] = np.inf
+    right_of_way.granted_at[:] = 0.0
+    view.scratch.clock[:] = 0.0
+    for column in (background.offset, background.acceleration, background.crashed, background.elevation):
+        column[:] = 0
 
 
 @compiled

@@ -1,14 +1,24 @@
-"""The traffic as a structure of arrays, N background vehicles; what the kernels read and write."""
+"""The traffic of E environments as a structure of arrays; what the kernels read and write.
+
+Every array of `Background`, `RightOfWay`, `EgoOnLanes` and `Scratch` has a leading environment axis, which
+the shapes below leave out: `environment_traffic` gives one environment's view, what kernels work on.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
+from athrl_driving.compilation import inlined
+from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph, Movements
 
 PATH_LENGTH = 20
 """Lanes that a vehicle plans ahead, its own first: more than the look-ahead reaches."""
+
+EGO_FIELDS = 8
+"""The ego is float64 [8]: x, y m, heading rad, speed m/s, length, width, elevation m, present (1 or 0)."""
 
 NOBODY = -1
 
@@ -22,6 +32,8 @@ class Background(NamedTuple):
     """[N] m."""
     heading: Floats
     """[N] rad."""
+    elevation: Floats
+    """[N] m."""
     speed: Floats
     """[N] m/s."""
     length: Floats
@@ -32,6 +44,8 @@ class Background(NamedTuple):
     """[N] row of the lane graph."""
     s: Floats
     """[N] m along the lane."""
+    offset: Floats
+    """[N] m beside the lane's centre line, positive to the right; not 0 while it changes lanes."""
     acceleration: Floats
     """[N] m/s2, of the last tick."""
     desired_speed: Floats
@@ -124,55 +138,162 @@ CURVE_ACCELERATION = 2.2
 """m/s2 sideways that background vehicles accept in a curve."""
 
 
-def new_traffic(graph: LaneGraph, movements: Movements, count: int, length: float, width: float) -> Traffic:
-    """Return arrays for `count` vehicles (m long and wide) that are not placed yet."""
-    lanes, ways = len(graph.length), len(movements.length)
+def new_traffic(
+    town: Town,
+    environments: int,
+    count: int,
+    length: float = float(IDMVehicle.LENGTH),
+    width: float = float(IDMVehicle.WIDTH),
+) -> Traffic:
+    """Return arrays for `count` vehicles (m long and wide) in each environment, not placed yet.
+
+    Raises `ValueError` for a negative count.
+    """
+    if count < 0:
+        raise ValueError(f"vehicles_count is {count}, but it must be 0 or more")
+    graph, movements = town.graph, town.movements
+    return Traffic(
+        graph=graph,
+        movements=movements,
+        pace=_pace(graph),
+        background=_new_background((environments, count), length, width),
+        right_of_way=_new_right_of_way(environments, count, len(graph.length), len(movements.length)),
+        ego_on_lanes=_new_ego_on_lanes(environments, len(graph.length), len(movements.length)),
+        scratch=_new_scratch(environments, count, len(graph.length)),
+    )
+
+
+def _pace(graph: LaneGraph) -> Floats:
     with np.errstate(divide="ignore"):
         curve_speed = np.sqrt(CURVE_ACCELERATION / np.abs(graph.curvature))
-    background = Background(
-        x=np.zeros(count),
-        y=np.zeros(count),
-        heading=np.zeros(count),
-        speed=np.zeros(count),
-        length=np.full(count, length),
-        width=np.full(count, width),
-        lane=np.zeros(count, np.int64),
-        s=np.zeros(count),
-        acceleration=np.zeros(count),
-        desired_speed=np.zeros(count),
-        crashed=np.zeros(count, np.bool_),
-        path=np.zeros((count, PATH_LENGTH), np.int64),
-        random_state=np.zeros(count, np.uint64),
+    return np.minimum(graph.speed_limit, curve_speed)
+
+
+def _new_background(shape: tuple[int, int], length: float, width: float) -> Background:
+    return Background(
+        x=np.zeros(shape),
+        y=np.zeros(shape),
+        heading=np.zeros(shape),
+        elevation=np.zeros(shape),
+        speed=np.zeros(shape),
+        length=np.full(shape, length),
+        width=np.full(shape, width),
+        lane=np.zeros(shape, np.int64),
+        s=np.zeros(shape),
+        offset=np.zeros(shape),
+        acceleration=np.zeros(shape),
+        desired_speed=np.zeros(shape),
+        crashed=np.zeros(shape, np.bool_),
+        path=np.zeros((*shape, PATH_LENGTH), np.int64),
+        random_state=np.zeros(shape, np.uint64),
     )
-    right_of_way = RightOfWay(
-        crossing=np.full(count + 1, NOBODY),
-        granted=np.full(count + 1, NOBODY),
-        granted_at=np.zeros(count + 1),
-        ahead=np.full(count + 1, NOBODY),
-        line_distance=np.full(count + 1, np.inf),
-        waiting_since=np.full(count + 1, np.inf),
-        holders=np.zeros(ways, np.int64),
-        rearmost=np.full(ways, np.inf),
-        inbound=np.zeros(lanes, np.int64),
-        claimed=np.zeros(ways, np.bool_),
+
+
+def _new_right_of_way(environments: int, count: int, lanes: int, ways: int) -> RightOfWay:
+    rows = (environments, count + 1)
+    return RightOfWay(
+        crossing=np.full(rows, NOBODY),
+        granted=np.full(rows, NOBODY),
+        granted_at=np.zeros(rows),
+        ahead=np.full(rows, NOBODY),
+        line_distance=np.full(rows, np.inf),
+        waiting_since=np.full(rows, np.inf),
+        holders=np.zeros((environments, ways), np.int64),
+        rearmost=np.full((environments, ways), np.inf),
+        inbound=np.zeros((environments, lanes), np.int64),
+        claimed=np.zeros((environments, ways), np.bool_),
     )
-    ego_on_lanes = EgoOnLanes(
-        rear=np.full(lanes, np.inf),
-        front=np.full(lanes, -np.inf),
-        speed=np.zeros(lanes),
-        blocks=np.zeros(ways, np.int64),
-        lanes=np.zeros(lanes, np.int64),
-        movements=np.zeros(ways, np.int64),
-        counts=np.zeros(2, np.int64),
+
+
+def _new_ego_on_lanes(environments: int, lanes: int, ways: int) -> EgoOnLanes:
+    return EgoOnLanes(
+        rear=np.full((environments, lanes), np.inf),
+        front=np.full((environments, lanes), -np.inf),
+        speed=np.zeros((environments, lanes)),
+        blocks=np.zeros((environments, ways), np.int64),
+        lanes=np.zeros((environments, lanes), np.int64),
+        movements=np.zeros((environments, ways), np.int64),
+        counts=np.zeros((environments, 2), np.int64),
     )
-    scratch = Scratch(
-        first_on_lane=np.full(lanes, NOBODY),
-        next_on_lane=np.full(count, NOBODY),
-        gap=np.full(count + 1, np.inf),
-        leader_speed=np.zeros(count + 1),
-        held_up=np.zeros(count + 1, np.bool_),
-        order=np.zeros(count + 1, np.int64),
-        clock=np.zeros(1),
+
+
+def _new_scratch(environments: int, count: int, lanes: int) -> Scratch:
+    rows = (environments, count + 1)
+    return Scratch(
+        first_on_lane=np.full((environments, lanes), NOBODY),
+        next_on_lane=np.full((environments, count), NOBODY),
+        gap=np.full(rows, np.inf),
+        leader_speed=np.zeros(rows),
+        held_up=np.zeros(rows, np.bool_),
+        order=np.zeros(rows, np.int64),
+        clock=np.zeros((environments, 1)),
     )
-    pace = np.minimum(graph.speed_limit, curve_speed)
-    return Traffic(graph, movements, pace, background, right_of_way, ego_on_lanes, scratch)
+
+
+@inlined
+def environment_traffic(traffic: Traffic, e: int) -> Traffic:
+    """Return the view of environment `e`: the same memory without the environment axis."""
+    background, right_of_way = traffic.background, traffic.right_of_way
+    covered, scratch = traffic.ego_on_lanes, traffic.scratch
+    return Traffic(
+        traffic.graph,
+        traffic.movements,
+        traffic.pace,
+        Background(
+            background.x[e],
+            background.y[e],
+            background.heading[e],
+            background.elevation[e],
+            background.speed[e],
+            background.length[e],
+            background.width[e],
+            background.lane[e],
+            background.s[e],
+            background.offset[e],
+            background.acceleration[e],
+            background.desired_speed[e],
+            background.crashed[e],
+            background.path[e],
+            background.random_state[e],
+        ),
+        RightOfWay(
+            right_of_way.crossing[e],
+            right_of_way.granted[e],
+            right_of_way.granted_at[e],
+            right_of_way.ahead[e],
+            right_of_way.line_distance[e],
+            right_of_way.waiting_since[e],
+            right_of_way.holders[e],
+            right_of_way.rearmost[e],
+            right_of_way.inbound[e],
+            right_of_way.claimed[e],
+        ),
+        EgoOnLanes(
+            covered.rear[e],
+            covered.front[e],
+            covered.speed[e],
+            covered.blocks[e],
+            covered.lanes[e],
+            covered.movements[e],
+            covered.counts[e],
+        ),
+        Scratch(
+            scratch.first_on_lane[e],
+            scratch.next_on_lane[e],
+            scratch.gap[e],
+            scratch.leader_speed[e],
+            scratch.held_up[e],
+            scratch.order[e],
+            scratch.clock[e],
+        ),
+    )
+
+
+def environment_views(traffic: Traffic, e: int) -> Traffic:
+    """Return the same as `environment_traffic`, for Python."""
+    return traffic._replace(
+        background=Background(*(column[e] for column in traffic.background)),
+        right_of_way=RightOfWay(*(column[e] for column in traffic.right_of_way)),
+        ego_on_lanes=EgoOnLanes(*(column[e] for column in traffic.ego_on_lanes)),
+        scratch=Scratch(*(column[e] for column in traffic.scratch)),
+    )

@@ -7,9 +7,9 @@ decides which one they take. All decisions see the state before the tick.
 
 import math
 
-from athrl_driving.compilation import compiled, inlined
+from athrl_driving.compilation import compiled, inlined, inner
 from athrl_driving.maps.geometry import lane_pose
-from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph, Movements
+from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
 from athrl_driving.traffic.ego import cover_lanes, forget_ego, locate_on_path
 from athrl_driving.traffic.following import (
     LARGEST_ACCELERATION,
@@ -20,7 +20,14 @@ from athrl_driving.traffic.following import (
 from athrl_driving.traffic.leaders import look_ahead, sort_by_lane
 from athrl_driving.traffic.paths import drop_first
 from athrl_driving.traffic.right_of_way import LINE_BRAKING, ask, count_holders, serve
-from athrl_driving.traffic.state import NOBODY, Background, EgoOnLanes, RightOfWay, Scratch
+from athrl_driving.traffic.state import (
+    NOBODY,
+    Background,
+    RightOfWay,
+    Scratch,
+    Traffic,
+    environment_traffic,
+)
 
 LINE_MARGIN = 0.5
 """Metres between a waiting vehicle's front and the stop line."""
@@ -29,37 +36,36 @@ _LEAST_GAP = 1.0
 
 
 @compiled
-def tick(
-    graph: LaneGraph,
-    movements: Movements,
-    pace: Floats,
-    background: Background,
-    right_of_way: RightOfWay,
-    covered: EgoOnLanes,
-    scratch: Scratch,
-    ego: Floats,
-    ego_path: Integers,
-    dt: float,
-) -> None:
-    """Move the background vehicles on by `dt` seconds; with 0 only look, which finds leaders and junctions.
+def tick(traffic: Traffic, e: int, ego: Floats, ego_path: Integers, dt: float) -> None:
+    """Let Python call `advance` for environment `e`."""
+    advance(environment_traffic(traffic, e), ego, ego_path, dt)
 
-    The first arguments are the fields of `Traffic`. `ego` is x, y, heading, speed, length, width, or empty
-    where there is no ego; `ego_path` holds rows of the lane graph. (One function, because each that Python
-    calls costs seconds of compilation.)
+
+@inner
+def advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> None:
+    """Move one environment's background vehicles on by `dt` seconds; 0 only looks: at leaders and lines.
+
+    `traffic` is a view without the environment axis. `ego` is float64 [8] (see `EGO_FIELDS`). `ego_path`
+    holds rows of the lane graph that the ego will drive, its present one among the first, padded with -1.
     """
+    graph, movements, background = traffic.graph, traffic.movements, traffic.background
+    right_of_way, covered, scratch = traffic.right_of_way, traffic.ego_on_lanes, traffic.scratch
     vehicles = background.lane.shape[0]
+    present = ego[7] > 0.0
     sort_by_lane(background, scratch)
     forget_ego(covered)
-    if ego.shape[0] > 0:
+    if present:
         cover_lanes(graph, covered, ego)
     for row in range(vehicles + 1):
         place, s, length, path = 0, 0.0, 0.0, ego_path
         if row < vehicles:
             path, s, length = background.path[row], background.s[row], background.length[row]
-        elif ego.shape[0] > 0:
+        elif present:
             place, s = locate_on_path(graph, ego, ego_path)
             length = ego[4]
             _note_crossing(graph, right_of_way, row, ego_path, place, s - 0.5 * length)
+        else:
+            place = NOBODY
         if place < path.shape[0] and place >= 0:
             look_ahead(
                 graph, movements, background, right_of_way, covered, scratch,
@@ -71,10 +77,10 @@ def tick(
         return
     for row in range(vehicles):
         ask(right_of_way, scratch, row, background.speed[row])
-    ask(right_of_way, scratch, vehicles, ego[3] if ego.shape[0] > 0 else 0.0)
+    ask(right_of_way, scratch, vehicles, ego[3] if present else 0.0)
     count_holders(graph, movements, background, right_of_way)
     serve(graph, movements, background, right_of_way, covered, scratch)
-    _accelerate(graph, pace, background, right_of_way, scratch, dt)
+    _accelerate(graph, traffic.pace, background, right_of_way, scratch, dt)
     _move(graph, background, right_of_way, dt)
     scratch.clock[0] += dt
 
