@@ -5,6 +5,7 @@ it calls are compiled into it. So it is kept in a folder named after the content
 """
 
 import hashlib
+import logging
 import os
 import tempfile
 from collections.abc import Callable
@@ -16,13 +17,20 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_KERNEL_FILES = ("route.py", "maps/*.py", "traffic/*.py", "perception/*.py")
+_COMMON = ("compilation.py", "maps/*.py", "traffic/*.py")
+_KERNEL_FILES = {
+    "town": ("reward.py", "control/*.py", "episode/*.py", "metrics/*.py", "perception/*.py", "route/*.py"),
+    "highway": ("highway/**/*.py",),
+}
+"""The files of the two families of kernels, which are compiled into each other."""
+
 _PACKAGE = Path(__file__).resolve().parent
+_LOG = logging.getLogger(__name__)
 
 
 def compiled(function: Function) -> Function:
     """Compile a function that Python calls; it frees the interpreter's lock and is kept for later runs."""
-    kept, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder()
+    kept, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder(_family(function))
     try:
         return numba.njit(cache=True, nogil=True)(function)
     finally:
@@ -39,13 +47,29 @@ def inner(function: Function) -> Function:
     return numba.njit(nogil=True, no_cpython_wrapper=True)(function)
 
 
+def announce_compilation(kernel: Callable[..., Any], seconds: int) -> None:
+    """Say, in one logged line, that `kernel` (decorated with `compiled`) is about to be compiled.
+
+    Nothing is said when its machine code is there already. `seconds` is about how long it takes.
+    """
+    module, name = kernel.__module__.rpartition(".")[2], kernel.__name__
+    if not any(Path(cache_folder(_family(kernel))).rglob(f"{module}.{name}-*.nbi")):
+        # A warning, because that is what Python shows where no logging has been configured.
+        _LOG.warning("compiling the simulation: once per installation, about %d s", seconds)
+
+
+def _family(function: Callable[..., Any]) -> str:
+    return "highway" if ".highway" in function.__module__ else "town"
+
+
 @cache
-def cache_folder() -> str:
+def cache_folder(family: str = "town") -> str:
     """Return the folder for machine code: in $NUMBA_CACHE_DIR, beside the package, or in the user's cache.
 
-    Where none of them can be written it is a temporary folder of this process alone.
+    Where none of them can be written it is a temporary folder of this process alone. `family` is "town" or
+    "highway": changes to one of them leave the other's machine code alone.
     """
-    name = f"athrl_driving-{_fingerprint()}"
+    name = f"athrl_driving-{family}-{_fingerprint(family)}"
     user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     places = [os.environ.get("NUMBA_CACHE_DIR"), str(_PACKAGE / "__pycache__"), user_cache]
     for place in places:
@@ -54,9 +78,9 @@ def cache_folder() -> str:
     return tempfile.mkdtemp(prefix="athrl-compiled-")
 
 
-def _fingerprint() -> str:
+def _fingerprint(family: str) -> str:
     digest = hashlib.sha256()
-    for pattern in _KERNEL_FILES:
+    for pattern in _COMMON + _KERNEL_FILES[family]:
         for path in sorted(_PACKAGE.glob(pattern)):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())

@@ -8,6 +8,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
+from .compilation import compiled
+
 FAST_SPEED = 8.0
 """Speed along the route above which a tick costs, m/s."""
 
@@ -18,6 +23,35 @@ REWARD_TERMS = ("collision", "speed", "fast", "out", "steer", "lateral", "consta
 """Names of the terms, in the order of the sum."""
 
 
+@compiled
+def has_left_lane(lateral_offset: float) -> bool:
+    """Whether a lateral distance from the route (m) ends the episode."""
+    return abs(lateral_offset) > LANE_TOLERANCE
+
+
+@compiled
+def add_reward_terms(
+    terms: NDArray[np.float64],
+    collision: bool,
+    speed: float,
+    heading_error: float,
+    lateral_offset: float,
+    steering: float,
+) -> None:
+    """Add the weighted terms of one tick to `terms`, float64 [7]; see `tick_reward_terms`."""
+    speed_along_route = speed * math.cos(heading_error)
+    if collision:
+        terms[0] -= 200.0
+    terms[1] += speed_along_route
+    if speed_along_route > FAST_SPEED:
+        terms[2] -= 10.0
+    if has_left_lane(lateral_offset):
+        terms[3] -= 1.0
+    terms[4] -= 5.0 * steering * steering
+    terms[5] -= 0.2 * abs(steering) * speed_along_route * speed_along_route
+    terms[6] -= 0.1
+
+
 def tick_reward_terms(
     *, collision: bool, speed: float, heading_error: float, lateral_offset: float, steering: float
 ) -> dict[str, float]:
@@ -26,18 +60,7 @@ def tick_reward_terms(
     `speed` is the car's (m/s), `heading_error` its heading less that of the nearest waypoint of the route
     (rad), `lateral_offset` its distance from the route (m), `steering` the commanded value within +-0.3.
     """
-    speed_along_route = speed * math.cos(heading_error)
-    return {
-        "collision": -200.0 if collision else 0.0,
-        "speed": speed_along_route,
-        "fast": -10.0 if speed_along_route > FAST_SPEED else 0.0,
-        "out": -1.0 if has_left_lane(lateral_offset) else 0.0,
-        "steer": -5.0 * steering**2,
-        "lateral": -0.2 * abs(steering) * speed_along_route**2,
-        "constant": -0.1,
-    }
-
-
-def has_left_lane(lateral_offset: float) -> bool:
-    """Whether a lateral distance from the route (m) ends the episode."""
-    return abs(lateral_offset) > LANE_TOLERANCE
+    terms = np.zeros(len(REWARD_TERMS))
+    numbers = (float(speed), float(heading_error), float(lateral_offset), float(steering))
+    add_reward_terms(terms, bool(collision), *numbers)
+    return dict(zip(REWARD_TERMS, terms.tolist(), strict=True))

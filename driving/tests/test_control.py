@@ -11,12 +11,15 @@ from athrl_driving.control import (
     WaypointController,
     angle_in_frame,
 )
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 GAINS = {"proportional": 0.7, "derivative": 0.005, "integral": 0.001}
 
+WITHOUT_DEADLINE = settings(deadline=None)  # the first example compiles
 
+
+@WITHOUT_DEADLINE
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=40))
 def test_pid_equals_the_textbook_sum(errors: list[float]) -> None:
     pid = Pid(**GAINS, limit=100.0)
@@ -56,6 +59,7 @@ def test_positive_waypoint_angle_is_to_the_drivers_right(heading: float) -> None
     assert angle_in_frame(10.0, 5.0, heading, ahead) == pytest.approx(0.0)
 
 
+@WITHOUT_DEADLINE
 @given(st.floats(-0.5, 0.5), st.floats(-10, 10), st.floats(-50, 50), st.floats(-50, 50))
 def test_steering_is_symmetric_in_every_frame(angle: float, heading: float, x: float, y: float) -> None:
     def command(side: float) -> float:

@@ -6,7 +6,9 @@ from .waypoint import (
     MAXIMUM_STEERING,
     WHEEL_ANGLE_PER_STEERING,
     WaypointController,
+    acceleration_command,
     angle_in_frame,
+    steering_command,
 )
 
 __all__ = [
@@ -15,5 +17,7 @@ __all__ = [
     "WHEEL_ANGLE_PER_STEERING",
     "Pid",
     "WaypointController",
+    "acceleration_command",
     "angle_in_frame",
+    "steering_command",
 ]

@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import math
 
-from .pid import Pid
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import compiled
+from .pid import Pid, pid_step
 
 MAXIMUM_ACCELERATION = 3.0
 """Limit of accelerating and braking, m/s2."""
@@ -19,22 +23,67 @@ MAXIMUM_STEERING = 0.3
 WHEEL_ANGLE_PER_STEERING = math.radians(70.0)
 """Angle of the front wheels for a steering command of 1, rad; the limit of 0.3 is 21 degrees."""
 
-_GAINS = (0.7, 0.005, 0.001)
-"""Proportional, derivative, integral; the authors' release has the same for both loops."""
+PROPORTIONAL, DERIVATIVE, INTEGRAL = 0.7, 0.005, 0.001
+"""Gains of both loops, as in the authors' release."""
+
+
+@compiled
+def angle_to(x: float, y: float, heading: float, target_x: float, target_y: float) -> float:
+    """Angle of a point seen from a pose, rad in (-pi, pi], positive to the driver's right."""
+    dx, dy = target_x - x, target_y - y
+    cosine, sine = math.cos(heading), math.sin(heading)
+    return math.atan2(dy * cosine - dx * sine, dx * cosine + dy * sine)
+
+
+@compiled
+def acceleration_command(
+    memory: NDArray[np.float64], speed: float, target_speed: float, interval: float
+) -> float:
+    """Acceleration towards the target speed, m/s2; `memory` float64 [2] is the speed loop's."""
+    error = target_speed - speed
+    return pid_step(memory, PROPORTIONAL, DERIVATIVE, INTEGRAL, MAXIMUM_ACCELERATION, error, interval)
+
+
+@compiled
+def steering_command(
+    memory: NDArray[np.float64],
+    x: float,
+    y: float,
+    heading: float,
+    waypoint_x: float,
+    waypoint_y: float,
+    interval: float,
+) -> float:
+    """Steering command towards the waypoint, within +-MAXIMUM_STEERING, positive to the right.
+
+    A waypoint that has been passed pulls no more: turning back to it would be no driving. `memory`
+    float64 [2] is the steering loop's.
+    """
+    angle = angle_to(x, y, heading, waypoint_x, waypoint_y)
+    if abs(angle) > math.pi / 2:
+        angle = 0.0
+    return pid_step(memory, PROPORTIONAL, DERIVATIVE, INTEGRAL, MAXIMUM_STEERING, angle, interval)
 
 
 def angle_in_frame(x: float, y: float, heading: float, target: tuple[float, float]) -> float:
     """Angle of `target` seen from a pose, rad in (-pi, pi], positive to the driver's right."""
-    bearing = math.atan2(target[1] - y, target[0] - x)
-    return math.remainder(bearing - heading, math.tau)
+    return angle_to(float(x), float(y), float(heading), float(target[0]), float(target[1]))
 
 
 class WaypointController:
-    """Speed and steering loop; both remember the past from tick to tick and from decision to decision."""
+    """Speed and steering loop; both remember the past from tick to tick and from decision to decision.
 
-    def __init__(self) -> None:
-        self.speed_loop = Pid(*_GAINS, limit=MAXIMUM_ACCELERATION)
-        self.steering_loop = Pid(*_GAINS, limit=MAXIMUM_STEERING)
+    `speed_memory` and `steering_memory`, float64 [2], are where they remember.
+    """
+
+    def __init__(
+        self,
+        speed_memory: NDArray[np.float64] | None = None,
+        steering_memory: NDArray[np.float64] | None = None,
+    ) -> None:
+        gains = (PROPORTIONAL, DERIVATIVE, INTEGRAL)
+        self.speed_loop = Pid(*gains, limit=MAXIMUM_ACCELERATION, memory=speed_memory)
+        self.steering_loop = Pid(*gains, limit=MAXIMUM_STEERING, memory=steering_memory)
 
     def reset(self) -> None:
         """Begin an episode."""
@@ -43,16 +92,11 @@ class WaypointController:
 
     def acceleration(self, speed: float, target_speed: float, interval: float) -> float:
         """Acceleration towards the target speed, m/s2; both speeds in m/s."""
-        return self.speed_loop.step(target_speed - speed, interval)
+        return acceleration_command(self.speed_loop.memory, float(speed), float(target_speed), interval)
 
     def steering(
         self, x: float, y: float, heading: float, waypoint: tuple[float, float], interval: float
     ) -> float:
-        """Steering command towards the waypoint, within +-MAXIMUM_STEERING, positive to the right.
-
-        A waypoint that has been passed pulls no more: turning back to it would be no driving.
-        """
-        angle = angle_in_frame(x, y, heading, waypoint)
-        if abs(angle) > math.pi / 2:
-            angle = 0.0
-        return self.steering_loop.step(angle, interval)
+        """Steering command towards the waypoint, as `steering_command` has it."""
+        place = (float(x), float(y), float(heading), float(waypoint[0]), float(waypoint[1]))
+        return steering_command(self.steering_loop.memory, *place, interval)

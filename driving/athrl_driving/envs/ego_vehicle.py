@@ -1,8 +1,6 @@
-"""The ego: highway-env's bicycle model behind the two controllers."""
+"""The ego as highway-env knows it: a vehicle whose numbers lie in the state of an episode."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from highway_env.road.road import Road
@@ -11,7 +9,30 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from ..control import WHEEL_ANGLE_PER_STEERING, WaypointController
+from ..control import WaypointController
+from ..episode.ego import (
+    ACCELERATION,
+    CONTROL_SIZE,
+    EGO_LENGTH,
+    EGO_SIZE,
+    EGO_WHEELBASE,
+    EGO_WIDTH,
+    ELEVATION,
+    HEADING,
+    SPEED,
+    SPEED_MEMORY,
+    STEERING,
+    STEERING_MEMORY,
+    TARGET_SPEED,
+    WAYPOINT_X,
+    WAYPOINT_Y,
+    WHEEL_ANGLE,
+    X,
+    Y,
+    control_ego,
+    move_ego,
+    place_ego,
+)
 
 
 class EgoVehicle(Vehicle):
@@ -19,19 +40,18 @@ class EgoVehicle(Vehicle):
 
     The motion is that of highway-env's `Vehicle`, save that the axles lie where such a car has them and not
     at its bumpers, and that brakes stop the car and do not push it backwards.
+
+    `ego` float64 [8] and `control` float64 [10] are what kernels read and write (see `episode.ego`) and
+    `collision` int64 [1] is not 0 after a crash; a vehicle that is given none has its own.
     """
 
-    LENGTH = 4.9
-    WIDTH = 2.1
-    WHEELBASE = 2.85
+    LENGTH = EGO_LENGTH
+    WIDTH = EGO_WIDTH
+    WHEELBASE = EGO_WHEELBASE
     """Distance between the axles, m; with 21 degrees of steering the centre turns with a radius of 7.6 m."""
 
     tick: float
     """Interval at which `act` is called, s."""
-    impact: NDArray[np.float64] | None
-    """Shift by a collision that the next step carries out, m."""
-    steering: float
-    """Last steering command, within +-0.3, positive to the right."""
 
     def __init__(
         self,
@@ -41,47 +61,129 @@ class EgoVehicle(Vehicle):
         speed: float = 0,
         predition_type: str = "constant_steering",
     ) -> None:
+        ego, control = np.empty(EGO_SIZE), np.empty(CONTROL_SIZE)
+        place_ego(ego, control, float(position[0]), float(position[1]), float(heading), 0.0)
+        ego[SPEED] = speed
+        self._take(road, ego, control, np.zeros(1, np.int64), predition_type)
+
+    @classmethod
+    def of_episode(
+        cls,
+        road: Road,
+        ego: NDArray[np.float64],
+        control: NDArray[np.float64],
+        collision: NDArray[np.int64],
+        tick: float,
+    ) -> EgoVehicle:
+        """The ego that these arrays describe."""
+        vehicle = cls.__new__(cls)
+        vehicle._take(road, ego, control, collision, "constant_steering")
+        vehicle.tick = tick
+        return vehicle
+
+    def _take(
+        self,
+        road: Road,
+        ego: NDArray[np.float64],
+        control: NDArray[np.float64],
+        collision: NDArray[np.int64],
+        prediction_type: str,
+    ) -> None:
+        self._ego, self._control, self._collision = ego, control, collision
+        state = ego.copy(), control.copy(), collision.copy()
         # highway-env would look for the nearest lane here and at every step; the environment knows the lane.
-        super().__init__(None, position, heading, speed, predition_type)
+        super().__init__(None, (ego[X], ego[Y]), float(ego[HEADING]), float(ego[SPEED]), prediction_type)
+        ego[:], control[:], collision[:] = state
         self.road = road
         self.color = VehicleGraphics.EGO_COLOR
-        self.controller = WaypointController()
+        self.controller = WaypointController(
+            control[SPEED_MEMORY : SPEED_MEMORY + 2], control[STEERING_MEMORY : STEERING_MEMORY + 2]
+        )
         self.tick = 0.1
-        self.target_speed = 0.0
-        self.waypoint = (float(self.position[0]), float(self.position[1]))
-        self.steering = 0.0
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """float64 [2], m; what is written to it moves the ego."""
+        return self._ego[X : Y + 1]
+
+    @position.setter
+    def position(self, value: Vector) -> None:
+        self._ego[X], self._ego[Y] = value
+
+    @property
+    def heading(self) -> float:
+        """Radians."""
+        return float(self._ego[HEADING])
+
+    @heading.setter
+    def heading(self, value: float) -> None:
+        self._ego[HEADING] = value
+
+    @property
+    def speed(self) -> float:
+        """Metres per second."""
+        return float(self._ego[SPEED])
+
+    @speed.setter
+    def speed(self, value: float) -> None:
+        self._ego[SPEED] = value
+
+    @property
+    def elevation(self) -> float:
+        """Height of the road below it, m."""
+        return float(self._ego[ELEVATION])
+
+    @property
+    def crashed(self) -> bool:
+        """Whether it has hit something."""
+        return bool(self._collision[0])
+
+    @crashed.setter
+    def crashed(self, value: bool) -> None:
+        self._collision[0] = int(value)
+
+    @property
+    def steering(self) -> float:
+        """Last steering command, within +-0.3, positive to the right."""
+        return float(self._control[STEERING])
+
+    @property
+    def target_speed(self) -> float:
+        """Speed of the last decision, m/s."""
+        return float(self._control[TARGET_SPEED])
+
+    @property
+    def waypoint(self) -> tuple[float, float]:
+        """Point of the last decision in the world, m."""
+        return float(self._control[WAYPOINT_X]), float(self._control[WAYPOINT_Y])
+
+    @property
+    def action(self) -> dict[str, float]:
+        """Angle of the front wheels (rad, positive to the right) and acceleration (m/s2), for highway-env."""
+        return {
+            "steering": float(self._control[WHEEL_ANGLE]),
+            "acceleration": float(self._control[ACCELERATION]),
+        }
+
+    @action.setter
+    def action(self, value: dict[str, float]) -> None:
+        self._control[WHEEL_ANGLE], self._control[ACCELERATION] = value["steering"], value["acceleration"]
 
     def follow(self, target_speed: float, waypoint: tuple[float, float]) -> None:
         """Take a decision: a speed (m/s) and a point (m) in the world, kept until the next decision."""
-        self.target_speed = target_speed
-        self.waypoint = waypoint
+        self._control[TARGET_SPEED] = target_speed
+        self._control[WAYPOINT_X], self._control[WAYPOINT_Y] = waypoint
 
     def act(self, action: dict | str | None = None) -> None:
         """Run both controllers for one tick; `action` sets acceleration and wheel angle directly instead."""
         if action is not None:
             super().act(action)
-            return
-        x, y = float(self.position[0]), float(self.position[1])
-        self.steering = self.controller.steering(x, y, self.heading, self.waypoint, self.tick)
-        acceleration = self.controller.acceleration(self.speed, self.target_speed, self.tick)
-        self.action = {
-            "steering": self.steering * WHEEL_ANGLE_PER_STEERING,
-            "acceleration": acceleration,
-        }
+        else:
+            control_ego(self._ego, self._control, self.tick)
 
     def step(self, dt: float) -> None:
-        """Move for `dt` seconds: highway-env's equations with this car's wheelbase."""
-        self.clip_actions()
-        acceleration = max(self.action["acceleration"], -self.speed / dt)
-        slip = math.atan(0.5 * math.tan(self.action["steering"]))
-        self.position[0] += self.speed * math.cos(self.heading + slip) * dt
-        self.position[1] += self.speed * math.sin(self.heading + slip) * dt
-        if self.impact is not None:
-            self.position += self.impact
-            self.crashed = True
-            self.impact = None
-        self.heading += self.speed * math.sin(slip) / (self.WHEELBASE / 2) * dt
-        self.speed += acceleration * dt
+        """Move for `dt` seconds."""
+        move_ego(self._ego, self._control, self.crashed, self.WHEELBASE, dt)
         self.on_state_update()
 
     def on_state_update(self) -> None:

@@ -1,0 +1,98 @@
+"""What threatens the ego: what it touches, and how long until it would touch somebody, compiled."""
+
+import math
+
+from ..compilation import inlined, inner
+from ..maps.lane_graph import Floats
+from ..traffic.collision import LEVEL_HEIGHT, first_touched, rectangles_touch
+from ..traffic.state import NOBODY, Background
+from .ego import ELEVATION, HEADING, LENGTH, SPEED, WIDTH, X, Y
+
+NO_COLLISION, VEHICLE_COLLISION, OBSTACLE_COLLISION = 0, 1, 2
+"""Kinds of collision."""
+
+HORIZON = 5.0
+"""Seconds that the time to collision looks ahead; farther ones count as infinite."""
+
+
+@inlined
+def collide(background: Background, obstacles: Floats, obstacle_count: int, ego: Floats) -> int:
+    """Return what the ego touches, a kind of collision; a vehicle that it touches is marked as crashed.
+
+    `obstacles` is float64 [n, 5]: x, y (m), heading (rad), length, width (m) of things that stand about.
+    """
+    touched = first_touched(background, ego)
+    if touched != NOBODY:
+        background.crashed[touched] = True
+        return VEHICLE_COLLISION
+    for row in range(obstacle_count):
+        if rectangles_touch(
+            ego[X], ego[Y], ego[HEADING], ego[LENGTH], ego[WIDTH],
+            obstacles[row, 0], obstacles[row, 1], obstacles[row, 2], obstacles[row, 3], obstacles[row, 4],
+        ):  # fmt: skip
+            return OBSTACLE_COLLISION
+    return NO_COLLISION
+
+
+@inner
+def time_to_collision(background: Background, ego: Floats) -> float:
+    """Return seconds until the ego touches a vehicle ahead of it if all keep speed and heading, or inf."""
+    cosine, sine = math.cos(ego[HEADING]), math.sin(ego[HEADING])
+    nearest = math.inf
+    if ego[SPEED] <= 0.0:
+        return nearest
+    ego_reach = 0.5 * math.hypot(ego[LENGTH], ego[WIDTH])
+    for row in range(background.x.shape[0]):
+        dx, dy = background.x[row] - ego[X], background.y[row] - ego[Y]
+        if dx * cosine + dy * sine <= 0.0 or abs(background.elevation[row] - ego[ELEVATION]) > LEVEL_HEIGHT:
+            continue
+        length, width, speed = background.length[row], background.width[row], background.speed[row]
+        reach = ego_reach + 0.5 * (length + width) + HORIZON * (ego[SPEED] + speed)
+        if dx * dx + dy * dy > reach * reach:
+            continue
+        heading = background.heading[row]
+        nearest = min(nearest, _time_to_touch(ego, cosine, sine, dx, dy, heading, speed, length, width))
+    return nearest if nearest <= HORIZON else math.inf
+
+
+@inlined
+def _time_to_touch(
+    ego: Floats,
+    cosine: float,
+    sine: float,
+    dx: float,
+    dy: float,
+    heading: float,
+    speed: float,
+    length: float,
+    width: float,
+) -> float:
+    """Seconds until two rectangles that keep their velocities touch, inf if they never do.
+
+    They touch while they overlap along all four of their axes; (dx, dy) leads to the other's centre.
+    """
+    other_cosine, other_sine = math.cos(heading), math.sin(heading)
+    drift_x, drift_y = speed * other_cosine - ego[SPEED] * cosine, speed * other_sine - ego[SPEED] * sine
+    along, across = (
+        abs(cosine * other_cosine + sine * other_sine),
+        abs(sine * other_cosine - cosine * other_sine),
+    )
+    begin, end = 0.0, math.inf
+    for axis in range(4):
+        if axis == 0:
+            x, y, reach = cosine, sine, ego[LENGTH] + length * along + width * across
+        elif axis == 1:
+            x, y, reach = -sine, cosine, ego[WIDTH] + length * across + width * along
+        elif axis == 2:
+            x, y, reach = other_cosine, other_sine, length + ego[LENGTH] * along + ego[WIDTH] * across
+        else:
+            x, y, reach = -other_sine, other_cosine, width + ego[LENGTH] * across + ego[WIDTH] * along
+        reach *= 0.5
+        apart, drift = dx * x + dy * y, drift_x * x + drift_y * y
+        if abs(drift) < 1e-9:
+            if abs(apart) > reach:
+                return math.inf
+            continue
+        one, other = (-reach - apart) / drift, (reach - apart) / drift
+        begin, end = max(begin, min(one, other)), min(end, max(one, other))
+    return begin if begin <= end else math.inf
