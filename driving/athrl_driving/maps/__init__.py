@@ -1,8 +1,8 @@
 """Towns: short descriptions, the lanes built from them, and compiled geometry."""
 
 from athrl_driving.maps.description import Bend, Node, Street, TownDescription
-from athrl_driving.maps.geometry import closest_lane, lane_pose, lane_project
-from athrl_driving.maps.lane_graph import LaneGraph, Movements
+from athrl_driving.maps.geometry import closest_lane, lane_elevation, lane_pose, lane_project
+from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals
 from athrl_driving.maps.town import TOWNS, Junction, Town, build_town, load_town
 
 __all__ = [
@@ -12,11 +12,13 @@ __all__ = [
     "LaneGraph",
     "Movements",
     "Node",
+    "Signals",
     "Street",
     "Town",
     "TownDescription",
     "build_town",
     "closest_lane",
+    "lane_elevation",
     "lane_pose",
     "lane_project",
     "load_town",

@@ -48,18 +48,6 @@ def movement_relations(sketch: Sketch) -> MovementRelations:
     return relations
 
 
-def lane_conflicts(sketch: Sketch, relations: MovementRelations) -> list[list[int]]:
-    """Return for every lane the junction lanes of conflicting movements that it meets."""
-    result: list[list[int]] = [[] for _ in sketch.lanes]
-    paths = {row: _sampled(sketch, [row]) for row, lane in enumerate(sketch.lanes) if lane.movement >= 0}
-    for row, path in paths.items():
-        for movement, _ in relations.conflicts[sketch.lanes[row].movement]:
-            for other in sketch.movements[movement].lanes:
-                if _distances(path, paths[other]).min() < CLEARANCE:
-                    result[row].append(other)
-    return result
-
-
 def _sampled(sketch: Sketch, rows: list[int]) -> NDArray[np.float64]:
     """Return points [n, 2] along a chain of rows."""
     points = []

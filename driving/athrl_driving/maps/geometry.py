@@ -6,7 +6,7 @@ line from the lane's start, lateral positive to the driver's right. Headings are
 
 import math
 
-from athrl_driving.compilation import compiled
+from athrl_driving.compilation import compiled, inlined
 from athrl_driving.maps.lane_graph import LaneGraph
 
 
@@ -42,6 +42,12 @@ def lane_project(graph: LaneGraph, lane: int, x: float, y: float) -> tuple[float
     distance = math.hypot(dx, dy)
     lateral = radius - distance if radius > 0.0 else radius + distance
     return travelled * radius, lateral
+
+
+@inlined
+def lane_elevation(graph: LaneGraph, lane: int, s: float) -> float:
+    """Return the height (m) at `s` metres along row `lane`."""
+    return graph.elevation[lane] + graph.grade[lane] * s
 
 
 @compiled

@@ -33,25 +33,31 @@ class LaneGraph(NamedTuple):
     length: Floats
     """[L] m, along the centre line."""
     width: Floats
-    """[L] m."""
+    """[L] m, the mean over the row."""
+    elevation: Floats
+    """[L] m above the map's zero, at the row's start."""
+    grade: Floats
+    """[L] m per m: `elevation + grade * s` is the height at `s` metres, within 0.3 m."""
     speed_limit: Floats
     """[L] m/s."""
     successor_start: Integers
     """[L+1]."""
     successor: Integers
-    """[S] rows that follow; every lane has at least one."""
+    """[S] rows that follow; a lane without one is a `dead_end`."""
+    dead_end: NDArray[np.bool_]
+    """[L] the lane ends here: a vehicle has to change to a neighbour before its end."""
     junction: Integers
-    """[L] -1 on ordinary lanes, else the junction's number; each arm of a roundabout is a junction."""
+    """[L] -1 on ordinary lanes, else the number of the junction that the row's movement belongs to."""
     turn: Integers
     """[L] 0 left, 1 straight, 2 right; 1 on ordinary lanes. A roundabout is entered and left to the right."""
     left: Integers
-    """[L] the neighbour in the same direction on the left, or -1."""
+    """[L] the row on the left, in the same direction, that a vehicle may change to, or -1.
+
+    Rows beside each other cover the same stretch of road: `s` on one is `s * length[other] / length` on the
+    other. Rows of movements have no neighbours.
+    """
     right: Integers
-    """[L] the neighbour in the same direction on the right, or -1."""
-    conflict_start: Integers
-    """[L+1]."""
-    conflict: Integers
-    """[C] junction lanes of other origins whose swept area meets this one's."""
+    """[L] the row on the right that a vehicle may change to, as `left`."""
     start_cos: Floats
     """[L] cosine of `start_heading`."""
     start_sin: Floats
@@ -74,7 +80,11 @@ class Movements(NamedTuple):
     length: Floats
     """[M] m."""
     yields: NDArray[np.bool_]
-    """[M] gives way to the movements it conflicts with (a roundabout's entries)."""
+    """[M] gives way to what it conflicts with: a roundabout's entry, a ramp, or as the map's file says."""
+    priority: Integers
+    """[M] among those that wait: 0 goes first, a higher number gives way to a lower one."""
+    signal: Integers
+    """[M] the row of `Signals` that governs it, or -1."""
     lane_start: Integers
     """[M+1]."""
     lane: Integers
@@ -91,3 +101,24 @@ class Movements(NamedTuple):
     """[..] movements with the same origin."""
     shared: Floats
     """[..] m from the origin over which the two siblings' swept areas overlap, in the order of `sibling`."""
+
+
+class Signals(NamedTuple):
+    """Groups of traffic lights that change together, G rows (none on a map without lights).
+
+    Times are seconds within the group's cycle; the groups of one junction share a cycle.
+    """
+
+    cycle: Floats
+    """[G] s."""
+    green_from: Floats
+    """[G] s; the light is green from here on."""
+    green_until: Floats
+    """[G] s; smaller than `green_from` where the green phase goes over the cycle's end."""
+    yellow: Floats
+    """[G] s after the green phase; then it is red."""
+
+
+def no_signals() -> Signals:
+    """Return the signals of a map without traffic lights."""
+    return Signals(*(np.empty(0) for _ in Signals._fields))

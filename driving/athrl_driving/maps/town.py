@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.maps.builder import sketch_town
-from athrl_driving.maps.conflicts import MovementRelations, lane_conflicts, movement_relations
+from athrl_driving.maps.conflicts import MovementRelations, movement_relations
 from athrl_driving.maps.description import TownDescription
-from athrl_driving.maps.lane_graph import LaneGraph, Movements
+from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals, no_signals
 from athrl_driving.maps.network import TownNetwork, build_network, graph_heading
 from athrl_driving.maps.sketch import Sketch
 from athrl_driving.maps.town03 import TOWN03
@@ -34,8 +34,13 @@ class Town:
     network: TownNetwork
     graph: LaneGraph
     movements: Movements
+    signals: Signals
     lane_indices: list[tuple[str, str, int]]
-    """Row of the graph -> highway-env's lane index."""
+    """Row of the graph -> highway-env's lane index; several rows may share one."""
+    road_name: tuple[str, ...]
+    """Row of the graph -> the name of its road in the map's file."""
+    lane_id: NDArray[np.int64]
+    """Row of the graph -> its lane's id on that road."""
     junctions: tuple[Junction, ...]
     """By junction number."""
 
@@ -61,10 +66,20 @@ def build_town(description: TownDescription) -> Town:
     """Build a town. Raises `ValueError` that names the street or the node that cannot be built."""
     sketch = sketch_town(description)
     relations = movement_relations(sketch)
-    graph = _graph(sketch, lane_conflicts(sketch, relations))
+    graph = _graph(sketch)
     network, indices = build_network(sketch, graph)
     junctions = tuple(Junction(*junction) for junction in sketch.junctions)
-    return Town(description.name, network, graph, _movements(sketch, relations), indices, junctions)
+    return Town(
+        name=description.name,
+        network=network,
+        graph=graph,
+        movements=_movements(sketch, relations),
+        signals=no_signals(),
+        lane_indices=indices,
+        road_name=tuple("-".join(lane.nodes) for lane in sketch.lanes),
+        lane_id=np.array([-1 - lane.identifier for lane in sketch.lanes], dtype=np.int64),
+        junctions=junctions,
+    )
 
 
 def _compressed(lists: list[list[int]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -72,7 +87,7 @@ def _compressed(lists: list[list[int]]) -> tuple[NDArray[np.int64], NDArray[np.i
     return starts, np.array([value for values in lists for value in values], dtype=np.int64)
 
 
-def _graph(sketch: Sketch, conflicts: list[list[int]]) -> LaneGraph:
+def _graph(sketch: Sketch) -> LaneGraph:
     lanes = sketch.lanes
 
     def floats(values: list[float]) -> NDArray[np.float64]:
@@ -82,7 +97,6 @@ def _graph(sketch: Sketch, conflicts: list[list[int]]) -> LaneGraph:
         return np.array(values, dtype=np.int64)
 
     successor_start, successor = _compressed([lane.successors for lane in lanes])
-    conflict_start, conflict = _compressed(conflicts)
     headings = floats([graph_heading(lane.piece.start.heading) for lane in lanes])
     offsets = np.zeros(len(lanes))
     for movement in sketch.movements:
@@ -95,15 +109,16 @@ def _graph(sketch: Sketch, conflicts: list[list[int]]) -> LaneGraph:
         start_heading=headings,
         length=floats([lane.piece.length for lane in lanes]),
         width=np.full(len(lanes), sketch.lane_width),
+        elevation=np.zeros(len(lanes)),
+        grade=np.zeros(len(lanes)),
         speed_limit=floats([lane.speed_limit for lane in lanes]),
         successor_start=successor_start,
         successor=successor,
+        dead_end=np.array([not lane.successors for lane in lanes]),
         junction=integers([lane.junction for lane in lanes]),
         turn=integers([lane.turn for lane in lanes]),
         left=integers([lane.left for lane in lanes]),
         right=integers([lane.right for lane in lanes]),
-        conflict_start=conflict_start,
-        conflict=conflict,
         start_cos=np.cos(headings),
         start_sin=np.sin(headings),
         box=_boxes(sketch),
@@ -134,6 +149,8 @@ def _movements(sketch: Sketch, relations: MovementRelations) -> Movements:
         exit=np.array([movement.exit for movement in sketch.movements], dtype=np.int64),
         length=np.array(lengths),
         yields=np.array([movement.yields for movement in sketch.movements]),
+        priority=np.array([int(movement.yields) for movement in sketch.movements], dtype=np.int64),
+        signal=np.full(len(sketch.movements), -1),
         lane_start=lane_start,
         lane=lane,
         conflict_start=conflict_start,
