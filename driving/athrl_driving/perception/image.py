@@ -50,8 +50,7 @@ class Perception:
             self.drivable.left,
             self.drivable.top,
             self.graph,
-            route.lanes,
-            route.starts,
+            route.pieces,
             route.position,
             x,
             y,
@@ -73,8 +72,7 @@ def draw_image(
     left: float,
     top: float,
     graph: LaneGraph,
-    route_lanes: NDArray[np.int64],
-    route_starts: NDArray[np.float64],
+    pieces: NDArray[np.float64],
     route_position: float,
     ego_x: float,
     ego_y: float,
@@ -95,7 +93,7 @@ def draw_image(
         turning[vehicle] = speed[vehicle] * graph.curvature[lane[vehicle]]
     sample_drivable_map(image, cells, left, top, pixel, ego_x, ego_y, ego_heading)
     draw_vehicles(image, pixel, ego_x, ego_y, ego_heading, x, y, heading, speed, turning, length, width)
-    draw_route(image, pixel, ego_x, ego_y, ego_heading, graph, route_lanes, route_starts, route_position)
+    draw_route(image, pixel, ego_x, ego_y, ego_heading, pieces, pieces.shape[0], route_position)
     distances = lidar_distances(ego_x, ego_y, ego_heading, x, y, heading, length, width)
     draw_lidar(image, pixel, distances)
     return image

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import compiled
-from ..maps import LaneGraph
-from ..maps.geometry import lane_pose
+from ..route.following import piece_pose
+from ..route.state import LENGTH, START_POSITION
 from .window import column_of, row_of
 
 LINE_REACH = 1.5
@@ -29,21 +29,20 @@ def draw_route(
     x: float,
     y: float,
     heading: float,
-    graph: LaneGraph,
-    lanes: NDArray[np.int64],
-    starts: NDArray[np.float64],
+    pieces: NDArray[np.float64],
+    count: int,
     position: float,
 ) -> None:
     """Draw the route on channel 2: 255 on its middle, falling linearly to 0 at LINE_REACH pixels from it."""
     cosine, sine = math.cos(heading), math.sin(heading)
     size = image.shape[0]
     index = 0
-    distance = max(position - LINE_BEHIND, starts[0])
-    end = min(position + LINE_AHEAD, starts[-1])
+    distance = max(position - LINE_BEHIND, pieces[0, START_POSITION])
+    end = min(position + LINE_AHEAD, pieces[count - 1, START_POSITION] + pieces[count - 1, LENGTH])
     while distance < end:
-        while index + 1 < lanes.size and distance >= starts[index + 1]:
+        while index + 1 < count and distance >= pieces[index + 1, START_POSITION]:
             index += 1
-        point_x, point_y, _ = lane_pose(graph, lanes[index], distance - starts[index])
+        point_x, point_y, _ = piece_pose(pieces, index, distance)
         distance += LINE_STEP * pixel
         dx, dy = point_x - x, point_y - y
         line_row = row_of(dx * cosine + dy * sine, pixel)

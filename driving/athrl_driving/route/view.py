@@ -1,0 +1,149 @@
+"""A route as an object, for who is not a kernel: drivers, scenes, tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import compiled
+from ..maps.lane_graph import Integers, LaneGraph
+from .following import (
+    LANES_AHEAD,
+    environment_route,
+    follow,
+    heading_of_nearest_waypoint,
+    lanes_ahead,
+    poses_on_route,
+    start_routes,
+    waypoints,
+)
+from .state import LENGTH, START_POSITION, RouteState, new_routes
+
+_NO_PLAN = np.empty(0, dtype=np.int64)
+
+
+class Route:
+    """Where the ego is to go, and where on it the ego is: a view of one environment's row of the arrays.
+
+    Positions are metres along the route from where the episode began; it grows ahead as the ego drives.
+    """
+
+    def __init__(
+        self, graph: LaneGraph, lane: int, lane_position: float, generator: np.random.Generator
+    ) -> None:
+        """Start a route of its own with random turns, `lane_position` metres along a row of the graph."""
+        self._see(graph, new_routes(graph, 1), 0)
+        seed = np.uint64(generator.integers(2**63))
+        start_routes(graph, self.routes, 0, lane, float(lane_position), seed, _NO_PLAN, 0.0)
+
+    @classmethod
+    def of_environment(cls, graph: LaneGraph, routes: RouteState, environment: int) -> Route:
+        """View the route of one environment of a batch."""
+        route = cls.__new__(cls)
+        route._see(graph, routes, environment)
+        return route
+
+    @classmethod
+    def planned(
+        cls, graph: LaneGraph, plan: Integers, start: float, destination: float, seed: int = 0
+    ) -> Route:
+        """Start a route of its own along rows, from `start` m on the first to `destination` m on the last."""
+        route = cls.of_environment(graph, new_routes(graph, 1), 0)
+        start_routes(graph, route.routes, 0, int(plan[0]), start, np.uint64(seed), plan, destination)
+        return route
+
+    def _see(self, graph: LaneGraph, routes: RouteState, environment: int) -> None:
+        self.graph = graph
+        self.routes = routes
+        self.environment = environment
+
+    @property
+    def position(self) -> float:
+        """Where the ego is along the route, m."""
+        return float(self.routes.position[self.environment])
+
+    @property
+    def lateral(self) -> float:
+        """How far the ego is to the right of the route, m."""
+        return float(self.routes.lateral[self.environment])
+
+    @property
+    def arrival(self) -> float:
+        """The destination's place along the route, m; infinite without one or while it is far ahead."""
+        return float(self.routes.arrival[self.environment])
+
+    @property
+    def pieces(self) -> NDArray[np.float64]:
+        """float64 [n, 6]: x, y, heading, curvature, length, metres along the route of each known piece."""
+        return self.routes.pieces[self.environment, : self._count]
+
+    @property
+    def lanes(self) -> NDArray[np.int64]:
+        """int64 [n]: the lane graph's row of each piece; while changing lanes the one that is changed to."""
+        return self.routes.row[self.environment, : self._count]
+
+    @property
+    def starts(self) -> NDArray[np.float64]:
+        """float64 [n + 1]: where along the route each piece starts and the last one ends, m."""
+        pieces = self.pieces
+        end = pieces[-1, START_POSITION] + pieces[-1, LENGTH]
+        return np.append(pieces[:, START_POSITION], end)
+
+    @property
+    def index(self) -> int:
+        """The piece that the ego is on."""
+        return int(self.routes.ego_piece[self.environment])
+
+    @property
+    def lane(self) -> int:
+        """Row of the lane that the ego is on or is changing to."""
+        return int(self.lanes[self.index])
+
+    @property
+    def lanes_ahead(self) -> NDArray[np.int64]:
+        """int64 [n]: the ego's lane and those that follow."""
+        rows = np.empty(LANES_AHEAD, dtype=np.int64)
+        _lanes_ahead(self.graph, self.routes, self.environment, rows)
+        return rows[rows >= 0]
+
+    def advance(self, x: float, y: float) -> bool:
+        """Take the ego's new place, m; whether it is on another lane than before."""
+        lane = self.lane
+        _follow(self.graph, self.routes, self.environment, x, y)
+        return self.lane != lane
+
+    def waypoints(self) -> NDArray[np.float64]:
+        """float64 [12, 3]: x, y (m) and heading (rad) of the next waypoints."""
+        return _waypoints(self.routes, self.environment)
+
+    def heading_of_nearest_waypoint(self) -> float:
+        """Heading of the waypoint nearest to the ego along the route, rad."""
+        return float(_heading(self.routes, self.environment))
+
+    def poses(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """float64 [n, 3]: x, y (m) and heading (rad) at ascending positions on the route, m."""
+        return poses_on_route(self.routes.pieces[self.environment], self._count, positions)
+
+    @property
+    def _count(self) -> int:
+        return int(self.routes.piece_count[self.environment])
+
+
+@compiled
+def _follow(graph: LaneGraph, routes: RouteState, environment: int, x: float, y: float) -> None:
+    follow(graph, environment_route(routes, environment), x, y)
+
+
+@compiled
+def _waypoints(routes: RouteState, environment: int) -> NDArray[np.float64]:
+    return waypoints(environment_route(routes, environment))
+
+
+@compiled
+def _heading(routes: RouteState, environment: int) -> float:
+    return heading_of_nearest_waypoint(environment_route(routes, environment))
+
+
+@compiled
+def _lanes_ahead(graph: LaneGraph, routes: RouteState, environment: int, rows: Integers) -> None:
+    lanes_ahead(graph, environment_route(routes, environment), rows)
