@@ -1,0 +1,131 @@
+"""Counting an episode tick by tick, and its summary."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compilation import compiled, inlined
+from ..maps.lane_graph import Floats, Integers
+from .comfort import judge, remember
+from .state import COMFORT_BOUNDS, NO_COLLISION, WINDOW, MetricsState
+
+COMPLETION_SPEED = 8.0
+"""m/s at which an episode of random turns has to be driven to count as complete."""
+
+LEAST_TIME_TO_COLLISION = 0.95
+"""nuPlan's bound, s."""
+
+LONGEST_TIME_TO_COLLISION = 5.0
+"""What the summary says where the ego was never closer to touching somebody, s."""
+
+PENALTIES = (0.60, 0.65, 0.70)
+"""CARLA leaderboard's factors for a collision with a vehicle, one with a thing, and a red light run."""
+
+
+@inlined
+def reset_metrics(metrics: MetricsState, speed: float, heading: float, goal: float) -> None:
+    """Begin an episode of one environment with its ego's speed (m/s) and heading (rad).
+
+    `goal` is the way to the destination, m; with random turns COMPLETION_SPEED times the episode's seconds.
+    """
+    metrics.ticks[0] = 0
+    metrics.duration[0] = metrics.distance[0] = metrics.lateral[0] = 0.0
+    metrics.goal[0] = goal
+    metrics.infractions[:] = 0
+    metrics.out_of_road[0] = metrics.arrived[0] = metrics.clear_ticks[0] = 0
+    metrics.minimum_time_to_collision[0] = math.inf
+    metrics.comfortable[:] = 0
+    metrics.window[:] = 0.0
+    metrics.motion[0], metrics.motion[1] = speed, heading
+
+
+@inlined
+def note_tick(
+    metrics: MetricsState,
+    speed: float,
+    heading: float,
+    progress: float,
+    lateral_offset: float,
+    time_to_collision: float,
+    ran_red_light: bool,
+    collision: int,
+    left_lane: bool,
+    arrived: bool,
+    dt: float,
+) -> None:
+    """Count a tick of `dt` s of one environment; speed (m/s) and heading (rad) are those after it.
+
+    `heading` must not jump by full turns. `progress` is the tick's way along the route and `lateral_offset`
+    the distance from it, m; `time_to_collision` in s; `collision` is one of NO_COLLISION, VEHICLE_COLLISION
+    and STATIC_COLLISION.
+    """
+    metrics.ticks[0] += 1
+    metrics.duration[0] += dt
+    metrics.distance[0] += progress
+    metrics.lateral[0] += abs(lateral_offset)
+    if collision != NO_COLLISION:
+        metrics.infractions[collision - 1] += 1
+    metrics.infractions[2] += ran_red_light
+    metrics.out_of_road[0] |= left_lane
+    metrics.arrived[0] |= arrived
+    if time_to_collision < metrics.minimum_time_to_collision[0]:
+        metrics.minimum_time_to_collision[0] = time_to_collision
+    metrics.clear_ticks[0] += time_to_collision > LEAST_TIME_TO_COLLISION
+    turn = (heading - metrics.motion[1]) / dt
+    middle_speed = 0.5 * (speed + metrics.motion[0])
+    remember(metrics.window, heading, (speed - metrics.motion[0]) / dt, middle_speed * turn)
+    metrics.motion[0], metrics.motion[1], metrics.motion[2] = speed, heading, dt
+    if metrics.ticks[0] >= WINDOW:
+        # The first whole window holds the episode's beginning, later ones are judged at their middle.
+        begin = 0 if metrics.ticks[0] == WINDOW else WINDOW // 2
+        judge(metrics.window, WINDOW, begin, dt, metrics.comfortable)
+
+
+@compiled
+def _judge_end(window: Floats, ticks: int, dt: float, comfortable: Integers) -> None:
+    """Judge the ticks at the episode's end."""
+    if ticks >= WINDOW:
+        judge(window, WINDOW, WINDOW // 2 + 1, dt, comfortable)
+    elif ticks > 0:
+        judge(window, ticks, WINDOW - ticks, dt, comfortable)
+
+
+def summary(metrics: MetricsState, environment: int, *, truncated: bool) -> dict[str, float]:
+    """Return the metrics of one environment's episode; `truncated` tells that time ended it.
+
+    docs/metrics.md explains each. Shares and rates lie within 0..1, a rate being an episode's 0 or 1.
+    """
+    e = environment
+    ticks = int(metrics.ticks[e])
+    comfortable = metrics.comfortable[e].copy()
+    _judge_end(metrics.window[e], ticks, float(metrics.motion[e, 2]), comfortable)
+    shares = comfortable / max(ticks, 1)
+    collisions = int(metrics.infractions[e, 0] + metrics.infractions[e, 1])
+    crash, out_of_road, arrived = collisions > 0, bool(metrics.out_of_road[e]), bool(metrics.arrived[e])
+    completion = 1.0 if arrived else float(np.clip(metrics.distance[e] / metrics.goal[e], 0.0, 1.0))
+    penalty = math.prod(
+        factor ** int(count) for factor, count in zip(PENALTIES, metrics.infractions[e], strict=True)
+    )
+    return {
+        "driving_score": completion * penalty,
+        "route_completion": completion,
+        "infraction_penalty": penalty,
+        "success": float((arrived or truncated) and not crash and not out_of_road),
+        "crash": float(crash),
+        "out_of_road": float(out_of_road),
+        "red_lights": float(metrics.infractions[e, 2]),
+        **{
+            f"comfort_{name}": float(share)
+            for name, share in zip((*COMFORT_BOUNDS, "all"), shares, strict=True)
+        },
+        "time_to_collision_kept": float(metrics.clear_ticks[e] / max(ticks, 1)),
+        "minimum_time_to_collision": min(
+            float(metrics.minimum_time_to_collision[e]), LONGEST_TIME_TO_COLLISION
+        ),
+        "mean_speed": float(metrics.distance[e] / metrics.duration[e]) if ticks else 0.0,
+        "mean_lateral_offset": float(metrics.lateral[e] / max(ticks, 1)),
+        "distance": float(metrics.distance[e]),
+        "duration": float(metrics.duration[e]),
+    }
