@@ -1,0 +1,55 @@
+"""One line for highway-env's users: the traffic of an environment they have, compiled."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TypeVar
+
+import gymnasium
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import Road
+
+from athrl_driving.compilation import announce_compilation
+from athrl_driving.highway import kernels
+from athrl_driving.highway.known import UnknownClassError
+from athrl_driving.highway.road import accelerate_road
+
+Environment = TypeVar("Environment", bound=gymnasium.Env)
+
+
+def accelerate(env: Environment) -> Environment:
+    """Run the traffic of a highway-env environment, wrapped or not, in compiled kernels; return it.
+
+    Works before and after `reset` and at every later one. Observations, rewards, ends and `info` stay what
+    they are. Raises `UnknownClassError` (a `ValueError`), at once or at a later reset, that names the class
+    of a vehicle, an object, a lane or a road which the kernels do not know.
+    """
+    plain = env.unwrapped
+    if not isinstance(plain, AbstractEnv):
+        name = f"{type(plain).__module__}.{type(plain).__qualname__}"
+        raise UnknownClassError(f"cannot accelerate {name}: it is not an environment of highway-env")
+    announce_compilation(kernels.step, 30)
+    if not isinstance(plain, AcceleratedEnvironment):
+        plain.__class__ = _accelerated_class(type(plain))
+        plain.road = plain.__dict__.get("road")
+    return env
+
+
+class AcceleratedEnvironment(AbstractEnv):
+    """What makes an environment accelerate every road that it is given."""
+
+    @property
+    def road(self) -> Road | None:
+        """The road."""
+        return self.__dict__.get("road")
+
+    @road.setter
+    def road(self, road: Road | None) -> None:
+        if road is not None:
+            accelerate_road(road)
+        self.__dict__["road"] = road
+
+
+@cache
+def _accelerated_class(plain: type[AbstractEnv]) -> type[AbstractEnv]:
+    return type(plain.__name__, (AcceleratedEnvironment, plain), {"__module__": plain.__module__})

@@ -1,0 +1,56 @@
+"""The compiled functions that Python calls: a road's `act` and `step`, and its questions."""
+
+from athrl_driving.compilation import compiled
+from athrl_driving.highway.behaviour import act_all
+from athrl_driving.highway.collisions import collide_all
+from athrl_driving.highway.columns import FAILED_ROW, LANE, NONE, Integers, Rows, Scratch
+from athrl_driving.highway.lanes import Network, closest_lane, lane_coordinates
+from athrl_driving.highway.motion import move_all
+from athrl_driving.highway.neighbours import begin_frame, neighbours
+from athrl_driving.highway.regulation import enforce_road_rules
+
+CLOSE_BEHIND = 2.0
+"""Lengths of the observer behind it, within which highway-env shows objects and, if it is told to, vehicles."""
+
+
+@compiled
+def act(
+    rows: Rows, network: Network, scratch: Scratch, vehicles: int, objects: int, connected: bool
+) -> bool:
+    """Let all vehicles decide; False where a route leads nowhere, for the row `scratch.counters[FAILED_ROW]`."""
+    count = vehicles + objects
+    begin_frame(rows, network, scratch, count)
+    failed = act_all(rows, network, scratch, vehicles, count, connected)
+    scratch.counters[FAILED_ROW] = failed
+    return failed == NONE
+
+
+@compiled
+def step(
+    rows: Rows,
+    network: Network,
+    scratch: Scratch,
+    vehicles: int,
+    objects: int,
+    dt: float,
+    regulated: bool,
+    yield_duration: float,
+) -> bool:
+    """Apply the road's rules if they are due, move all vehicles by dt seconds and let them collide.
+
+    False where a route leads nowhere, for the row `scratch.counters[FAILED_ROW]`.
+    """
+    if regulated:
+        failed = enforce_road_rules(rows, network, scratch, vehicles, yield_duration)
+        scratch.counters[FAILED_ROW] = failed
+        if failed != NONE:
+            return False
+    move_all(rows, network, vehicles, dt)
+    collide_all(rows, scratch, vehicles, vehicles + objects, dt)
+    return True
+
+
+@compiled
+def find_lane(network: Network, x: float, y: float, heading: float) -> int:
+    """Return the closest lane to a pose."""
+    return closest_lane(network, x, y, heading, 0)

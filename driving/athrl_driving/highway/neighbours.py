@@ -1,0 +1,162 @@
+"""Who drives before and behind a vehicle on a lane.
+
+highway-env asks every vehicle for its coordinates on the lane, for every question. Here each lane that is
+asked about in a frame gets one list of who is on it, sorted along it; an answer is then a binary search.
+Of vehicles abreast, highway-env's loop prefers the last of the list in front and the first behind.
+"""
+
+import math
+
+from athrl_driving.compilation import inlined, inner
+from athrl_driving.highway.columns import (
+    FRAME,
+    HEADING,
+    KIND,
+    LANDMARK,
+    LANE,
+    NONE,
+    POOL_USED,
+    SPEED,
+    Rows,
+    Scratch,
+)
+from athrl_driving.highway.lanes import (
+    AMPLITUDE,
+    CIRCULAR,
+    DIRECTION_X,
+    DIRECTION_Y,
+    LANE_LENGTH,
+    LANE_WIDTH,
+    ORIGIN_X,
+    ORIGIN_Y,
+    RADIUS,
+    SHAPE,
+    VEHICLE_LENGTH,
+    Network,
+    lane_coordinates,
+)
+
+MARGIN = 1.0
+"""m beside a lane within which a vehicle still counts as on it."""
+
+
+@inlined
+def begin_frame(rows: Rows, network: Network, scratch: Scratch, count: int) -> None:
+    """Note where everything is, and forget the lists of the frame before."""
+    for row in range(count):
+        x, y = rows.position[row, 0], rows.position[row, 1]
+        heading = rows.state[HEADING, row]
+        scratch.x[row], scratch.y[row] = x, y
+        scratch.cosine[row], scratch.sine[row] = math.cos(heading), math.sin(heading)
+        scratch.along[row] = lane_coordinates(network.lanes, rows.marks[LANE, row], x, y)[0]
+    scratch.counters[FRAME] += 1
+    scratch.counters[POOL_USED] = 0
+
+
+@inner
+def neighbours(
+    rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int, lane: int, along: float
+) -> tuple[int, int]:
+    """Return the rows before and behind (or NONE) on a lane of who is at `along` (m) on it."""
+    listed = scratch.listed
+    if listed[lane, 0] != scratch.counters[FRAME]:
+        _list_lane(rows, network, scratch, count, connected, lane)
+    start, end = listed[lane, 1], listed[lane, 2]
+    pool_along, pool_row = scratch.pool_along, scratch.pool_row
+    low, high = start, end
+    while low < high:
+        middle = (low + high) // 2
+        if pool_along[middle] < along:
+            low = middle + 1
+        else:
+            high = middle
+    front, rear = NONE, NONE
+    reached = 0.0
+    index = low
+    while index < end:
+        if pool_row[index] != row:
+            if front != NONE and pool_along[index] != reached:
+                break
+            front, reached = pool_row[index], pool_along[index]
+        index += 1
+    index = low - 1
+    while index >= start:
+        if pool_row[index] != row:
+            if rear != NONE and pool_along[index] != reached:
+                break
+            rear, reached = pool_row[index], pool_along[index]
+        index -= 1
+    return front, rear
+
+
+@inner
+def _list_lane(
+    rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, lane: int
+) -> None:
+    """List who is on a lane, or else on one that is connected to it, sorted by where they are along it."""
+    pool_along, pool_row = scratch.pool_along, scratch.pool_row
+    if scratch.counters[POOL_USED] + count > len(pool_row):
+        # The pool is full: forget all lists, they are made again when they are needed.
+        scratch.counters[FRAME] += 1
+        scratch.counters[POOL_USED] = 0
+    start = end = scratch.counters[POOL_USED]
+    first, last = network.connected_start[lane], network.connected_start[lane + 1]
+    for row in range(count):
+        if rows.marks[KIND, row] == LANDMARK:
+            continue
+        x, y = scratch.x[row], scratch.y[row]
+        along = _along_if_on(network.lanes, lane, x, y)
+        if connected:
+            index = first
+            while math.isnan(along) and index < last:
+                along = _along_if_on(network.lanes, network.connected_lane[index], x, y)
+                along += network.connected_offset[index]
+                index += 1
+        if math.isnan(along):
+            continue
+        place = end
+        while place > start and pool_along[place - 1] > along:
+            pool_along[place], pool_row[place] = pool_along[place - 1], pool_row[place - 1]
+            place -= 1
+        pool_along[place], pool_row[place] = along, row
+        end += 1
+    listed = scratch.listed
+    listed[lane, 0], listed[lane, 1], listed[lane, 2] = scratch.counters[FRAME], start, end
+    scratch.counters[POOL_USED] = end
+
+
+@inlined
+def _along_if_on(lanes, lane, x, y):  # type: ignore[no-untyped-def]
+    """Return how far along a lane a position on it is, m; not a number where it is not on it."""
+    room = lanes[lane, LANE_WIDTH] / 2.0 + MARGIN
+    east, south = x - lanes[lane, ORIGIN_X], y - lanes[lane, ORIGIN_Y]
+    # First what is cheap to find out, with some slack; most of the others are far away.
+    if lanes[lane, SHAPE] == CIRCULAR:
+        reach = lanes[lane, RADIUS] + room + MARGIN
+        if east * east + south * south > reach * reach:
+            return math.nan
+    else:
+        beside = south * lanes[lane, DIRECTION_X] - east * lanes[lane, DIRECTION_Y]
+        if abs(beside) > room + abs(lanes[lane, AMPLITUDE]) + MARGIN:
+            return math.nan
+    along, beside = lane_coordinates(lanes, lane, x, y)
+    before, after = lanes[lane, VEHICLE_LENGTH], lanes[lane, LANE_LENGTH] + lanes[lane, VEHICLE_LENGTH]
+    if abs(beside) <= room and -before <= along < after:
+        return along
+    return math.nan
+
+
+@inlined
+def lane_distance(rows: Rows, network: Network, scratch: Scratch, row: int, other: int) -> float:
+    """Return how far `other` is before `row`, m along the lane of `row`."""
+    lane = rows.marks[LANE, row]
+    return lane_coordinates(network.lanes, lane, scratch.x[other], scratch.y[other])[0] - scratch.along[row]
+
+
+@inlined
+def closing_speed(rows: Rows, scratch: Scratch, row: int, other: int) -> float:
+    """Return how fast `row` comes nearer to `other`, m/s in the direction of `row`."""
+    speed, other_speed = rows.state[SPEED, row], rows.state[SPEED, other]
+    east = speed * scratch.cosine[row] - other_speed * scratch.cosine[other]
+    south = speed * scratch.sine[row] - other_speed * scratch.sine[other]
+    return east * scratch.cosine[row] + south * scratch.sine[row]

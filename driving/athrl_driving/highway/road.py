@@ -1,0 +1,137 @@
+"""A road whose `act` and `step` are one kernel call each; otherwise highway-env's."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.road.road import LaneIndex, Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from athrl_driving.highway import kernels
+from athrl_driving.highway.columns import FAILED_ROW, KIND, LANE, LENGTH, NONE
+from athrl_driving.highway.known import network_class, road_class
+from athrl_driving.highway.network import CompiledNetwork
+from athrl_driving.highway.rows import Row
+from athrl_driving.highway.table import Table
+
+
+class AcceleratedNetwork(RoadNetwork):
+    """What makes a network find the closest lane with a kernel; its lanes are read when that is first needed."""
+
+    def add_lane(self, *arguments: Any, **settings: Any) -> None:
+        """Add a lane, so that the lanes are read again."""
+        super().add_lane(*arguments, **settings)
+        self.__dict__.pop("_compiled", None)
+
+    @property
+    def compiled(self) -> CompiledNetwork:
+        """The lanes as arrays. Raises `UnknownClassError` that names the class of an unknown lane."""
+        if "_compiled" not in self.__dict__:
+            self.__dict__["_compiled"] = CompiledNetwork(self)
+        return self.__dict__["_compiled"]
+
+    def get_closest_lane_index(
+        self, position: NDArray[np.float64], heading: float | None = None
+    ) -> LaneIndex:
+        """Return the index of the lane closest to a position (m) and, where given, a heading (rad)."""
+        if heading is None:
+            return super().get_closest_lane_index(position)
+        network = self.compiled
+        row = kernels.find_lane(network.arrays, float(position[0]), float(position[1]), float(heading))
+        return network.indices[row]
+
+
+class AcceleratedRoad(Road):
+    """What makes a road run its vehicles as rows of arrays."""
+
+    _table: Table | None
+
+    @property
+    def table(self) -> Table:
+        """The arrays, of the vehicles and objects that are in the lists now."""
+        network = self.network.compiled
+        if self._table is None or self._table.network is not network:
+            self._release()
+            self.__dict__["_table"] = Table(network)
+        table = self._table
+        things = self.vehicles + self.objects
+        if things != table.things or len(self.vehicles) != table.vehicle_count:
+            table.set_things(self.vehicles, self.objects)
+        table.read_parameters()
+        return table
+
+    def _release(self) -> None:
+        if self._table is not None:
+            self._table.set_things((), ())
+
+    def act(self) -> None:
+        """Decide the actions of each entity on the road."""
+        table = self.table
+        objects = len(table.things) - table.vehicle_count
+        connected = bool(self.neighbour_vehicles_connected_lanes)
+        arrays = table.network.arrays
+        if not kernels.act(table.rows, arrays, table.scratch, table.vehicle_count, objects, connected):
+            self._raise_for_route(table)
+
+    def step(self, dt: float) -> None:
+        """Step the dynamics of each entity on the road by dt seconds."""
+        regulated, duration = self._regulation(dt)
+        table = self.table
+        objects = len(table.things) - table.vehicle_count
+        arrays = table.network.arrays
+        if not kernels.step(
+            table.rows, arrays, table.scratch, table.vehicle_count, objects, dt, regulated, duration
+        ):
+            self._raise_for_route(table)
+        if self.record_history:
+            for vehicle in self.vehicles:
+                vehicle.history.appendleft(vehicle.create_from(vehicle))
+
+    def _regulation(self, dt: float) -> tuple[bool, float]:
+        return False, 0.0
+
+    def _raise_for_route(self, table: Table) -> None:
+        row = int(table.scratch.counters[FAILED_ROW])
+        vehicle: Any = table.things[row]
+        raise IndexError(
+            f"the route of vehicle {row}, on lane {vehicle.lane_index}, leads to a lane that the road network"
+            f" does not have: {vehicle.route}"
+        )
+
+
+class AcceleratedRegulatedRoad(AcceleratedRoad, RegulatedRoad):
+    """The same for a road with rules."""
+
+    def _regulation(self, dt: float) -> tuple[bool, float]:
+        """Count the step; return whether the rules are due, and for how many rounds a vehicle yields."""
+        self.steps += 1
+        due = self.steps % int(1 / dt / self.REGULATION_FREQUENCY) == 0
+        return due, float(self.YIELD_DURATION * self.REGULATION_FREQUENCY)
+
+
+def accelerate_road(road: Road) -> None:
+    """Make a road, in place, one that runs in kernels. Raises `UnknownClassError` for what is not known."""
+    if isinstance(road, AcceleratedRoad):
+        return
+    regulated = road_class(road) is RegulatedRoad
+    network_class(road.network)
+    if not isinstance(road.network, AcceleratedNetwork):
+        road.network.__class__ = _network_class(type(road.network))
+    road.__dict__["_table"] = None
+    road.__class__ = _road_class(type(road), regulated)
+    _ = road.table
+
+
+@cache
+def _network_class(plain: type) -> type:
+    return type(plain.__name__, (AcceleratedNetwork, plain), {"__module__": plain.__module__})
+
+
+@cache
+def _road_class(plain: type, regulated: bool) -> type:
+    base = AcceleratedRegulatedRoad if regulated else AcceleratedRoad
+    return type(plain.__name__, (base, plain), {"__module__": plain.__module__})
