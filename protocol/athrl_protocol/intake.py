@@ -3,6 +3,9 @@
 A chunk is acknowledged only after `accept` has returned, and is handed to `accept` once, however often it
 arrives. `accept` runs in the intake's thread. It may wait a little for room (less than 0.1 s, because other
 actors' chunks queue behind it) and then raise IntakeBusy, whereupon the actor sends the chunk again.
+
+What waits in the queue is taken in as one batch, and answered when `Receiver.commit` has returned, so that
+a disk is asked once for many chunks.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import zenoh
 
@@ -33,6 +36,8 @@ _log = logging.getLogger(__name__)
 # Queries that may wait. A full queue would stop everything else on the link, so the credits of all
 # actors together stay below it.
 QUEUE_CAPACITY = 256
+# Queries that are answered together; more would let the first of them wait for long.
+BATCH = 32
 CREDITS = 8
 ACTIVE_SECONDS = 10.0
 CLOSE_SECONDS = 5.0
@@ -46,19 +51,61 @@ class IntakeFinished(Exception):  # noqa: N818
     """Raised by `accept`: the run has all the chunks it needs."""
 
 
+@runtime_checkable
+class Receiver(Protocol):
+    """Takes chunks in so that they survive the process; all in the intake's thread."""
+
+    def accept(self, chunk: Chunk, message: bytes) -> None:
+        """Take a chunk in, which arrived as `message`; raises what `ChunkIntake` lets `accept` raise."""
+
+    def refuse(self, chunk: Chunk) -> None:
+        """Remember that a chunk is settled for which `accept` raised InvalidMessage; may raise IntakeBusy."""
+
+    def commit(self) -> None:
+        """Called before answers go out: what was accepted or refused so far is safe when this returns."""
+
+
+class _Plain:
+    """A receiver around a function: nothing outlives the process."""
+
+    def __init__(self, accept: Callable[[Chunk], None]) -> None:
+        self._accept = accept
+
+    def accept(self, chunk: Chunk, message: bytes) -> None:
+        self._accept(chunk)
+
+    def refuse(self, chunk: Chunk) -> None:
+        pass
+
+    def commit(self) -> None:
+        pass
+
+
+class _Answer(NamedTuple):
+    """An answer that waits for the end of its batch."""
+
+    query: zenoh.Query
+    message: athrl_pb2.Acknowledgement | athrl_pb2.Refusal
+
+
 @dataclass
 class IntakeStatistics:
-    """Counts since the intake was opened.
+    """Counts of chunks, since the intake was opened unless it says "of the run".
+
+    Of the run, `stored` + `refused` + `lost` are all chunks that are settled, each counted once whatever
+    died in between; what arrives is `chunks` + `duplicates` + `gaps` + `busy` + the sum of `invalid`.
 
     Attributes:
         chunks: taken in.
         transitions: valid steps in them.
         duplicates: arrived again and were acknowledged again.
         gaps: arrived before an earlier one.
-        lost: never taken in here and not held by their actor any more; most were acknowledged by a learner
-            that died before it saved them.
         busy: sent back for lack of room.
         invalid: refused for good, by reason.
+        stored: of the run: taken in.
+        refused: of the run: did not fit it.
+        lost: of the run: never taken in here and not held by their actor any more; they were acknowledged
+            by a learner whose disk failed, or could not be read at all.
         active_actors: actors that were heard in the last ten seconds.
     """
 
@@ -66,6 +113,8 @@ class IntakeStatistics:
     transitions: int = 0
     duplicates: int = 0
     gaps: int = 0
+    stored: int = 0
+    refused: int = 0
     lost: int = 0
     busy: int = 0
     invalid: dict[str, int] = field(default_factory=dict)
@@ -78,21 +127,21 @@ class ChunkIntake(Closing):
     Args:
         session: the learner's session, which stays the caller's.
         run: name of the run.
-        accept: called with each new chunk, one at a time. May raise IntakeBusy, IntakeFinished, or
-            InvalidMessage for a chunk that does not fit the run. Any other exception is kept in
-            `failure`, and nothing is taken in from then on.
-        ledger: what `ledger()` returned when the checkpoint was made.
+        accept: called with each new chunk, one at a time; a receiver also writes it down. May raise
+            IntakeBusy, IntakeFinished, or InvalidMessage for a chunk that does not fit the run. Any other
+            exception is kept in `failure`, and nothing is taken in from then on.
+        ledger: to go on with; what `ledger()` returned when the checkpoint was made, or a ledger.
     """
 
     def __init__(
         self,
         session: zenoh.Session,
         run: str,
-        accept: Callable[[Chunk], None],
-        ledger: dict[str, Any] | None = None,
+        accept: Callable[[Chunk], None] | Receiver,
+        ledger: dict[str, Any] | Ledger | None = None,
     ) -> None:
-        self._accept = accept
-        self._ledger = Ledger(ledger)
+        self._receiver = accept if isinstance(accept, Receiver) else _Plain(accept)
+        self._ledger = ledger if isinstance(ledger, Ledger) else Ledger(ledger)
         self._statistics = IntakeStatistics()
         self._heard: dict[str, float] = {}
         self._lock = threading.RLock()
@@ -118,11 +167,22 @@ class ChunkIntake(Closing):
         with self._lock:
             return self._ledger.to_json()
 
+    def totals(self) -> dict[str, int]:
+        """Return the run's totals (see `Totals`), which go with the ledger."""
+        with self._lock:
+            return self._ledger.totals_to_json()
+
     def statistics(self) -> IntakeStatistics:
         """Return the counts."""
         with self._lock:
             statistics = copy.deepcopy(self._statistics)
             statistics.active_actors = self._active_actors()
+            totals = self._ledger.totals
+            statistics.stored, statistics.refused, statistics.lost = (
+                totals.stored,
+                totals.refused,
+                totals.lost,
+            )
             return statistics
 
     def stop_accepting(self, *, finished: bool = False) -> None:
@@ -143,40 +203,59 @@ class ChunkIntake(Closing):
     def _serve(self, queries: zenoh.handlers.Handler[zenoh.Query]) -> None:
         while True:
             try:
-                query = queries.recv()
+                batch = [queries.recv()]
+                while len(batch) < BATCH and (query := queries.try_recv()) is not None:
+                    batch.append(query)
             except zenoh.ZError:  # closed
                 return
+            self._answer([_Answer(query, self._judge(query)) for query in batch])
+
+    def _answer(self, answers: list[_Answer]) -> None:
+        """Send the answers once all that they promise is safe; promise nothing if it is not."""
+        try:
+            self._receiver.commit()
+        except Exception as error:
+            self._fail(error)
+            answers = [_Answer(query, self._busy()) for query, _ in answers]
+        for query, message in answers:
             with query:
                 try:
-                    self._answer(query)
+                    if isinstance(message, athrl_pb2.Acknowledgement):
+                        query.reply(query.key_expr, encode_message(message))
+                    else:
+                        query.reply_err(encode_message(message))
                 except zenoh.ZError as error:  # who asked is gone, and will ask again
                     _log.debug("intake: %s", error)
 
-    def _answer(self, query: zenoh.Query) -> None:
+    def _judge(self, query: zenoh.Query) -> athrl_pb2.Acknowledgement | athrl_pb2.Refusal:
+        """Take in what the query brings, and return the answer to it."""
+        message = query.payload.to_bytes() if query.payload is not None else b""
         try:
-            chunk = decode_chunk(query.payload.to_bytes() if query.payload is not None else b"")
+            chunk = decode_chunk(message)
             if str(query.key_expr).rpartition("/")[2] != chunk.actor:
                 raise InvalidMessage("value", f"chunk: of actor {chunk.actor!r} under {query.key_expr}")
             with self._lock:
-                answer = self._take_in(chunk)
+                return self._take_in(chunk, message)
         except InvalidMessage as error:
-            answer = self._invalid(error)
+            return self._invalid(error)
         except IntakeBusy:
-            answer = self._busy()
+            return self._busy()
         except IntakeFinished:
-            answer = athrl_pb2.Refusal(reason=athrl_pb2.Refusal.FINISHED)
-        except Exception as error:  # the learner's own mistake: its main thread has to know
-            _log.exception("a chunk was not taken in")
-            self.failure = error
-            self.stop_accepting(finished=False)
-            answer = self._busy()
-        if isinstance(answer, athrl_pb2.Acknowledgement):
-            query.reply(query.key_expr, encode_message(answer))
-        else:
-            query.reply_err(encode_message(answer))
+            return athrl_pb2.Refusal(reason=athrl_pb2.Refusal.FINISHED)
+        except Exception as error:
+            self._fail(error)
+            return self._busy()
 
-    def _take_in(self, chunk: Chunk) -> athrl_pb2.Acknowledgement | athrl_pb2.Refusal:
+    def _fail(self, error: Exception) -> None:
+        """Take nothing in any more after the learner's own mistake; its main thread has to know."""
+        _log.error("a chunk was not taken in: %s", error, exc_info=error)
+        self.failure = error
+        self.stop_accepting(finished=False)
+
+    def _take_in(self, chunk: Chunk, message: bytes) -> athrl_pb2.Acknowledgement | athrl_pb2.Refusal:
         """Accept a chunk if it is new, and return the answer."""
+        if self.failure is not None:
+            raise IntakeBusy  # the ledger knows chunks that are not safe: not even "known" may be said
         self._heard[chunk.actor] = time.monotonic()
         verdict = self._ledger.judge(chunk)
         if isinstance(verdict, Known):
@@ -192,11 +271,11 @@ class ChunkIntake(Closing):
                 reason=athrl_pb2.Refusal.EXPECTED, expected_sequence=verdict.expected_sequence
             )
         try:
-            self._accept(chunk)
+            self._receiver.accept(chunk, message)
         except InvalidMessage:
-            self._ledger.record(chunk)  # it is settled: the actor drops it and goes on with the next
+            self._receiver.refuse(chunk)  # it is settled: the actor drops it and goes on with the next
+            self._ledger.refuse(chunk.actor, chunk.incarnation, chunk.sequence)
             raise
-        self._statistics.lost += verdict.lost
         self._statistics.chunks += 1
         self._statistics.transitions += chunk.length
         return self._acknowledgement(self._ledger.record(chunk))

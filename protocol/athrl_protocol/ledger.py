@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from athrl_protocol.chunk import Chunk
@@ -33,17 +33,37 @@ class New:
     lost: int
 
 
+@dataclass
+class Totals:
+    """What became of all chunks of the run; together they are all sequences below the ledger's next ones.
+
+    Attributes:
+        stored: chunks that were taken in.
+        transitions: valid steps in them.
+        refused: chunks that did not fit the run and are settled by that.
+        lost: chunks that are not here and that their actor does not hold any more.
+    """
+
+    stored: int = 0
+    transitions: int = 0
+    refused: int = 0
+    lost: int = 0
+
+
 class Ledger:
     """Judges whether a chunk is new, and remembers what was taken in.
 
     Args:
         saved: what `to_json` returned, from a checkpoint.
+        totals: what `totals` was as a dictionary at the same moment.
 
     Raises:
         ValueError: `saved` is not such a thing.
+        TypeError: `totals` is not such a thing.
     """
 
-    def __init__(self, saved: dict[str, Any] | None = None) -> None:
+    def __init__(self, saved: dict[str, Any] | None = None, totals: dict[str, int] | None = None) -> None:
+        self.totals = Totals(**(totals or {}))
         self._next: dict[str, dict[int, int]] = {}  # actor -> incarnation -> next sequence
         for actor, incarnations in (saved or {}).items():
             self._next[actor] = {int(number): int(following) for number, following in incarnations.items()}
@@ -81,9 +101,24 @@ class Ledger:
         return New(lost=reachable - expected)
 
     def record(self, chunk: Chunk) -> int:
-        """Remember that a new chunk was taken in; return the next sequence."""
-        incarnations = self._next.setdefault(chunk.actor, {})
-        incarnations[chunk.incarnation] = chunk.sequence + 1
+        """Remember that a chunk was taken in, and return the next sequence; those missing before are lost."""
+        self.totals.stored += 1
+        self.totals.transitions += chunk.length
+        return self._settle(chunk.actor, chunk.incarnation, chunk.sequence)
+
+    def refuse(self, actor: str, incarnation: int, sequence: int) -> int:
+        """Remember that a chunk was refused for good; return the next sequence."""
+        self.totals.refused += 1
+        return self._settle(actor, incarnation, sequence)
+
+    def totals_to_json(self) -> dict[str, int]:
+        """Return the totals, for a checkpoint."""
+        return asdict(self.totals)
+
+    def _settle(self, actor: str, incarnation: int, sequence: int) -> int:
+        incarnations = self._next.setdefault(actor, {})
+        self.totals.lost += sequence - incarnations.get(incarnation, 0)
+        incarnations[incarnation] = sequence + 1
         if len(incarnations) > INCARNATIONS_KEPT:
             del incarnations[min(incarnations)]
-        return chunk.sequence + 1
+        return sequence + 1
