@@ -1,0 +1,28 @@
+"""Make the towns' OpenDRIVE files anew: `python -m towns`, in `driving/`."""
+
+import argparse
+from pathlib import Path
+
+from towns.laying import lay_town
+from towns.opendrive import opendrive_text
+from towns.town03 import TOWN03
+
+FOLDER = Path(__file__).parents[1] / "athrl_driving" / "maps" / "towns"
+
+TOWNS = (TOWN03,)
+
+
+def main() -> None:
+    """Write one file a town."""
+    parser = argparse.ArgumentParser(description="Make the towns' OpenDRIVE files.")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="where the files go")
+    folder: Path = parser.parse_args().folder
+    folder.mkdir(parents=True, exist_ok=True)
+    for town in TOWNS:
+        path = folder / f"{town.name}.xodr"
+        path.write_text(opendrive_text(lay_town(town)), encoding="utf-8")
+        print(path)
+
+
+if __name__ == "__main__":
+    main()
