@@ -5,11 +5,13 @@ from pathlib import Path
 
 from towns.laying import lay_town
 from towns.opendrive import opendrive_text
+from towns.town02 import TOWN02
 from towns.town03 import TOWN03
+from towns.town04 import TOWN04
 
 FOLDER = Path(__file__).parents[1] / "athrl_driving" / "maps" / "towns"
 
-TOWNS = (TOWN03,)
+TOWNS = (TOWN02, TOWN03, TOWN04)
 
 
 def main() -> None:

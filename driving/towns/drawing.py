@@ -97,10 +97,7 @@ def _draw_directions(axes: Axes, drawing: Drawing) -> None:
     for lane in drawing.lanes:
         if lane.kind != "driving" or lane.junction != "-1" or lane.length < extent / 20.0:
             continue
-        steps = np.hypot(*np.diff(lane.middle[:, :2], axis=0).T)
-        along = np.concatenate(([0.0], np.cumsum(steps)))
-        half = along[-1] / 2.0
-        (x0, x1), (y0, y1) = (np.interp([half, half + 1.0], along, lane.middle[:, axis]) for axis in (0, 1))
+        x0, y0, x1, y1 = _half_way(lane)
         axes.annotate(
             "",
             (x1, y1),
@@ -108,6 +105,15 @@ def _draw_directions(axes: Axes, drawing: Drawing) -> None:
             arrowprops={"arrowstyle": "->", "color": "white", "linewidth": 0.6, "mutation_scale": 6},
             zorder=31,
         )
+
+
+def _half_way(lane: Lane) -> tuple[float, float, float, float]:
+    """Return x, y half-way along a lane, and x, y a metre further on."""
+    steps = np.hypot(*np.diff(lane.middle[:, :2], axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    half = along[-1] / 2.0
+    (x0, x1), (y0, y1) = (np.interp([half, half + 1.0], along, lane.middle[:, axis]) for axis in (0, 1))
+    return x0, y0, x1, y1
 
 
 def _draw_names(axes: Axes, drawing: Drawing) -> None:
@@ -120,7 +126,7 @@ def _draw_names(axes: Axes, drawing: Drawing) -> None:
         if name and (name not in longest or lane.length > longest[name].length):
             longest[name] = lane
     for name, lane in longest.items():
-        middle = lane.middle[:, :2].mean(axis=0)
+        middle = _half_way(lane)[:2]
         axes.annotate(
             name,
             middle,

@@ -39,7 +39,7 @@ def lay_town(town: Town) -> TownPlan:
             lay_roundabout(plan, place, arms[name])
         else:
             lay_junction(plan, place, arms[name])
-    lay_ramp_junctions(plan, {name: arms[name] for name in arms}, places)
+    lay_ramp_junctions(plan, arms, places)
     return plan
 
 

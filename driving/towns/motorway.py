@@ -1,6 +1,7 @@
 """Lay a motorway's carriageway: a closed ring of one-way roads between gores, where ramps leave and join."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from towns.curves import Piece, Pose, cut, join, length_of, rounded_polyline
@@ -61,7 +62,7 @@ def lay_motorway(plan: TownPlan, motorway: Motorway) -> dict[str, RampEnd]:
     }
 
 
-def lay_ramp_junctions(plan: TownPlan, arms: dict[str, list[Arm]], places: dict[str, object]) -> None:
+def lay_ramp_junctions(plan: TownPlan, arms: dict[str, list[Arm]], places: Mapping[str, object]) -> None:
     """Add the junctions at the gores: the motorway's lanes go on, the ramp leaves or joins.
 
     Raises `ValueError` where a gore has not exactly one ramp.
@@ -178,10 +179,11 @@ def _ramp_end(
     first, last = before.pieces[-1].end, after.pieces[0].start
     gap = cut([*ring, *ring], station, station + GORE_LENGTH)
     through = []
-    for lane in range(count):
-        start = LaneEnd(before, "end", -lane - 1, first.beside(-(lane + 0.5) * width))
-        end = LaneEnd(after, "start", -lane - 1, last.beside(-(lane + 0.5) * width))
-        through.append((start, end, tuple(_beside(piece, -(lane + 0.5) * width) for piece in gap)))
+    for index in range(count):
+        lateral = -(index + 0.5) * width
+        start = LaneEnd(before, "end", -index - 1, first.beside(lateral))
+        end = LaneEnd(after, "start", -index - 1, last.beside(lateral))
+        through.append((start, end, tuple(_beside(piece, lateral) for piece in gap)))
     lane, corner = through[-1][0], last
     if not gore.leaves:
         pose = last.beside(-(count + 0.5) * width)

@@ -65,8 +65,8 @@ def _write_road(root: Element, road: RoadPlan) -> None:
             kind, number, contact = target
             attributes = {"elementType": kind, "elementId": str(number)}
             SubElement(link, side, attributes | ({"contactPoint": contact} if contact else {}))
-    kind = SubElement(element, "type", s="0", type=road.kind)
-    SubElement(kind, "speed", max=str(road.mph), unit="mph")
+    road_type = SubElement(element, "type", s="0", type=road.kind)
+    SubElement(road_type, "speed", max=str(road.mph), unit="mph")
     plan_view = SubElement(element, "planView")
     position = 0.0
     for piece in road.pieces:

@@ -1,7 +1,7 @@
 """A roundabout with two lanes: driven counter-clockwise, the ring has priority over its entries.
 
 Round the ring, sections and arms alternate. Each arm is a junction of its own: the entry from the road, the
-way past the arm on the ring, and the exit to the road. A section between two arms is an ordinary one-way road.
+way past the arm on the ring, and the exit to the road. A section between two arms is an ordinary road.
 """
 
 import math

@@ -1,4 +1,17 @@
-"""town03: a roundabout between crossings, a junction of five arms, and a ring of streets round them."""
+"""town03: a roundabout between crossings, a junction of five arms, and a ring of streets round them.
+
+  .------- north gate -- orchard ---.
+  |            |           |        |
+  |     .-- chapel ----- garden     |
+mill    |      ‖           |        |
+  |  \\  |      ‖           |        |
+  |   star == circle === market === east gate      (= and ‖: two lanes in each direction)
+  |  /  |      ‖           |        |
+harbour |      ‖           |        |
+  |     '--- school -------'        |
+  |            |                    |
+  '------- south gate --------------'
+"""
 
 from towns.description import Bend, Node, Road, Roundabout, Town
 
@@ -10,6 +23,8 @@ TOWN03 = Town(
         Node("market", 165.0, 0.0),
         Node("chapel", 0.0, 165.0),
         Node("school", 0.0, -165.0),
+        Node("garden", 165.0, 165.0),
+        Node("orchard", 165.0, 310.0),
         Node("north gate", 0.0, 310.0),
         Node("east gate", 315.0, 0.0),
         Node("south gate", 0.0, -310.0),
@@ -24,16 +39,19 @@ TOWN03 = Town(
         Road("market", "east gate", lanes=(2, 2), mph=50, major=True, name="Market Road"),
         Road("chapel", "north gate", name="Chapel Hill"),
         Road("school", "south gate", name="School Lane"),
-        Road("market", "chapel", bends=(Bend(165.0, 165.0, 60.0),), name="Garden Street"),
+        Road("market", "garden", name="Garden Street"),
+        Road("garden", "chapel", name="Cherry Street"),
+        Road("garden", "orchard", name="Orchard Street"),
         Road("market", "school", bends=(Bend(165.0, -165.0, 60.0),), name="River Street"),
         Road("star", "chapel", bends=(Bend(-111.4, 165.0, 50.0),), name="Vineyard Street"),
         Road("star", "school", bends=(Bend(-111.4, -165.0, 50.0),), name="Weaver Street"),
-        Road("star", "mill", bends=(Bend(-255.0, 110.0 - 44.6, 30.0), Bend(-275.0, 110.0, 20.0))),
-        Road("star", "harbour", bends=(Bend(-255.0, 44.6 - 110.0, 30.0), Bend(-275.0, -110.0, 20.0))),
-        Road("north gate", "east gate", bends=(Bend(315.0, 310.0, 110.0),), major=True, name="Meadow Road"),
-        Road("south gate", "east gate", bends=(Bend(315.0, -310.0, 110.0),), major=True),
-        Road("north gate", "mill", bends=(Bend(-315.0, 310.0, 110.0),), major=True),
-        Road("south gate", "harbour", bends=(Bend(-315.0, -310.0, 110.0),), major=True),
-        Road("mill", "harbour", major=True),
+        Road("star", "mill", bends=(Bend(-255.0, 65.4, 30.0), Bend(-275.0, 110.0, 20.0))),
+        Road("star", "harbour", bends=(Bend(-255.0, -65.4, 30.0), Bend(-275.0, -110.0, 20.0))),
+        Road("mill", "harbour", mph=40, major=True, name="Meadow Road"),
+        Road("north gate", "mill", bends=(Bend(-315.0, 310.0, 110.0),), mph=40, major=True),
+        Road("north gate", "orchard", mph=40, major=True),
+        Road("orchard", "east gate", bends=(Bend(315.0, 310.0, 110.0),), mph=40, major=True),
+        Road("south gate", "east gate", bends=(Bend(315.0, -310.0, 110.0),), mph=40, major=True),
+        Road("south gate", "harbour", bends=(Bend(-315.0, -310.0, 110.0),), mph=40, major=True),
     ),
 )
