@@ -47,6 +47,20 @@ def inner(function: Function) -> Function:
     return numba.njit(nogil=True, no_cpython_wrapper=True)(function)
 
 
+def part(function: Function) -> Function:
+    """Put a function that only `whole` functions call into its callers before they are compiled.
+
+    It makes no arrays and returns none: references to arrays are not counted, which costs more than what is
+    done with them. numba compiles it with its callers, not by itself, so it may take tuples of many arrays.
+    """
+    return numba.njit(inline="always", error_model="numpy", no_cpython_wrapper=True, _nrt=False)(function)
+
+
+def whole(function: Function) -> Function:
+    """Compile a big function made of `part` functions once for all its callers. It makes no arrays."""
+    return numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, _nrt=False)(function)
+
+
 def announce_compilation(kernel: Callable[..., Any], seconds: int) -> None:
     """Say, in one logged line, that `kernel` (decorated with `compiled`) is about to be compiled.
 
