@@ -17,7 +17,7 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_COMMON = ("compilation.py", "maps/*.py", "traffic/*.py")
+_COMMON = ("compilation.py", "maps/geometry.py", "maps/lane_graph.py", "traffic/*.py")
 _KERNEL_FILES = {
     "town": ("reward.py", "control/*.py", "episode/*.py", "metrics/*.py", "perception/*.py", "route/*.py"),
     "highway": ("highway/**/*.py",),

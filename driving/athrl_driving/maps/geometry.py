@@ -7,7 +7,7 @@ line from the lane's start, lateral positive to the driver's right. Headings are
 import math
 
 from athrl_driving.compilation import compiled, inlined
-from athrl_driving.maps.lane_graph import LaneGraph
+from athrl_driving.maps.lane_graph import GRID_CELL, LaneGraph
 
 
 @compiled
@@ -54,16 +54,40 @@ def lane_elevation(graph: LaneGraph, lane: int, s: float) -> float:
 def closest_lane(graph: LaneGraph, x: float, y: float, heading: float) -> int:
     """Return the row nearest to a pose: lateral distance, plus what lies outside the ends, plus the angle.
 
-    The measure is that of highway-env's `distance_with_heading`; ties go to the first row.
+    The measure is that of highway-env's `distance_with_heading`; ties go to the first row. It is never less
+    than the distance in the plane, so cells farther away than the best row so far need no look.
     """
+    columns, rows = graph.grid_shape[0], graph.grid_shape[1]
+    column = math.floor((x - graph.grid_origin[0]) / GRID_CELL)
+    row = math.floor((y - graph.grid_origin[1]) / GRID_CELL)
+    # How far the pose is from the border of its own cell.
+    inside_x = x - graph.grid_origin[0] - column * GRID_CELL
+    inside_y = y - graph.grid_origin[1] - row * GRID_CELL
+    border = min(inside_x, GRID_CELL - inside_x, inside_y, GRID_CELL - inside_y)
     best, best_distance = 0, math.inf
-    for lane in range(graph.length.shape[0]):
-        s, lateral = lane_project(graph, lane, x, y)
-        distance = abs(lateral) + max(s - graph.length[lane], 0.0) + max(-s, 0.0)
-        if distance >= best_distance:
-            continue
-        angle = heading - graph.start_heading[lane] - graph.curvature[lane] * s
-        distance += abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
-        if distance < best_distance:
-            best, best_distance = lane, distance
+    ring = max(0, -column, column - columns + 1, -row, row - rows + 1)
+    farthest = max(abs(column), abs(column - columns), abs(row), abs(row - rows))
+    while ring <= farthest and best_distance > (ring - 1) * GRID_CELL + border:
+        for cell_row in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
+            on_edge = abs(cell_row - row) == ring
+            step = 1 if on_edge or ring == 0 else 2 * ring
+            cell_column = column - ring
+            while cell_column <= column + ring:
+                if 0 <= cell_column < columns:
+                    cell = cell_row * columns + cell_column
+                    for index in range(graph.grid_start[cell], graph.grid_start[cell + 1]):
+                        lane = graph.grid_lane[index]
+                        distance = _pose_distance(graph, lane, x, y, heading)
+                        if distance < best_distance or (distance == best_distance and lane < best):
+                            best, best_distance = lane, distance
+                cell_column += step
+        ring += 1
     return best
+
+
+@inlined
+def _pose_distance(graph: LaneGraph, lane: int, x: float, y: float, heading: float) -> float:
+    s, lateral = lane_project(graph, lane, x, y)
+    distance = abs(lateral) + max(s - graph.length[lane], 0.0) + max(-s, 0.0)
+    angle = heading - graph.start_heading[lane] - graph.curvature[lane] * s
+    return distance + abs((angle + math.pi) % (2.0 * math.pi) - math.pi)

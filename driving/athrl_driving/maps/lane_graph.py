@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 
 TURN_LEFT, TURN_STRAIGHT, TURN_RIGHT = 0, 1, 2
 
+GRID_CELL = 16.0
+"""Metres: the side of a cell of the lane graph's grid."""
+
 
 class LaneGraph(NamedTuple):
     """The lanes, L rows (C-contiguous arrays; numba takes the tuple as it is).
@@ -68,6 +71,14 @@ class LaneGraph(NamedTuple):
     """[L] the movement that the row belongs to, -1 on ordinary lanes."""
     movement_offset: Floats
     """[L] m driven on the movement before the row starts; 0 on ordinary lanes."""
+    grid_origin: Floats
+    """[2] x and y (m) of the grid's corner with the least coordinates; cells are `GRID_CELL` wide."""
+    grid_shape: Integers
+    """[2] columns (along x) and rows (along y) of the grid."""
+    grid_start: Integers
+    """[cells + 1]; the cell in column c and row r is number `r * columns + c`."""
+    grid_lane: Integers
+    """[..] rows of the lane graph, ascending in every cell, whose boxes touch the cell."""
 
 
 class Movements(NamedTuple):

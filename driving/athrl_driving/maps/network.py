@@ -1,15 +1,24 @@
-"""The same lanes as highway-env's road network, for its renderer and its vehicles."""
+"""The same lanes as highway-env's road network, for its renderer and its vehicles.
 
+An edge of the network is a strip: the lanes of one direction between two stations of a road, from the left to
+the right, so that highway-env's vehicles change lanes on it. Nodes join what lane links join.
+"""
+
+import itertools
 import math
+from collections import defaultdict
+from functools import partial
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, CircularLane, LineType, StraightLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 from numpy.typing import NDArray
 
+from athrl_driving.maps.assembly import Rows
 from athrl_driving.maps.geometry import closest_lane
 from athrl_driving.maps.lane_graph import LaneGraph
-from athrl_driving.maps.sketch import Sketch, SketchedLane
+from athrl_driving.maps.opendrive.strips import LanePiece, Strip
+from athrl_driving.maps.reachability import Drivable
 
 
 class TownNetwork(RoadNetwork):
@@ -30,45 +39,93 @@ class TownNetwork(RoadNetwork):
         return self.lane_indices[row]
 
 
-def build_network(sketch: Sketch, graph: LaneGraph) -> tuple[TownNetwork, list[LaneIndex]]:
-    """Return the network and the lane index of every row of the graph."""
-    indices: list[LaneIndex] = [(*lane.nodes, lane.identifier) for lane in sketch.lanes]
+def build_network(drivable: Drivable, rows: Rows, graph: LaneGraph) -> tuple[TownNetwork, list[LaneIndex]]:
+    """Return the network and the lane index of every row of the graph; copies of a row share one."""
+    strips: dict[Strip, list[LanePiece]] = defaultdict(list)
+    for piece in dict.fromkeys(rows.pieces):
+        strips[piece.strip].append(piece)
+    nodes = _name_nodes(drivable, strips)
+    edges: dict[tuple[str, str], list[LanePiece]] = defaultdict(list)
+    for strip, pieces in strips.items():
+        edges[nodes[strip]] += sorted(pieces, key=strip.lanes.index)
+    index_of: dict[LanePiece, LaneIndex] = {}
+    for (start, end), pieces in edges.items():
+        if len({piece.strip for piece in pieces}) > 1:
+            pieces.sort(key=partial(_place_from_left, pieces[0]))
+        for identifier, piece in enumerate(pieces):
+            index_of[piece] = (start, end, identifier)
+    indices = [index_of[piece] for piece in rows.pieces]
     network = TownNetwork(graph, indices)
-    for row in sorted(range(len(sketch.lanes)), key=lambda row: sketch.lanes[row].identifier):
-        lane = sketch.lanes[row]
-        network.add_lane(*lane.nodes, _highway_lane(lane, sketch.lane_width))
+    row_of = {piece: row for row, piece in reversed(list(enumerate(rows.pieces)))}
+    for (start, end), pieces in edges.items():
+        for piece in pieces:
+            network.add_lane(start, end, _highway_lane(piece, graph, row_of[piece]))
     return network, indices
 
 
-def _line_types(lane: SketchedLane) -> tuple[int, int]:
-    if lane.movement >= 0:
+def _name_nodes(drivable: Drivable, strips: dict[Strip, list[LanePiece]]) -> dict[Strip, tuple[str, str]]:
+    """Return every strip's start and end node."""
+    number = {strip: place for place, strip in enumerate(strips)}
+    parent = list(range(2 * len(number)))
+
+    def root(node: int) -> int:
+        while parent[node] != node:
+            parent[node] = parent[parent[node]]
+            node = parent[node]
+        return node
+
+    chains = [[way.origin, *way.pieces, way.exit] for way in drivable.ways]
+    ordinary = set(drivable.pieces)
+    chains += [[piece, after] for piece in drivable.pieces for after in piece.successors if after in ordinary]
+    for chain in chains:
+        for before, after in itertools.pairwise(chain):
+            parent[root(2 * number[before.strip] + 1)] = root(2 * number[after.strip])
+    names: dict[int, str] = {}
+    for strip, place in number.items():
+        # A node is named after the first strip that starts or ends there.
+        way = f"road {strip.road.id} {'forth' if strip.forward else 'back'}"
+        names.setdefault(root(2 * place), f"{way} {strip.start if strip.forward else strip.end:.2f}")
+        names.setdefault(root(2 * place + 1), f"{way} {strip.end if strip.forward else strip.start:.2f}")
+    return {strip: (names[root(2 * place)], names[root(2 * place + 1)]) for strip, place in number.items()}
+
+
+def _place_from_left(reference: LanePiece, piece: LanePiece) -> float:
+    """Return how far to the right of `reference` a piece lies in its middle (m)."""
+    x, y, heading = reference.at(0.5 * reference.length)
+    piece_x, piece_y, _ = piece.at(0.5 * piece.length)
+    return (piece_y - y) * math.cos(heading) - (piece_x - x) * math.sin(heading)
+
+
+def _line_types(graph: LaneGraph, row: int) -> tuple[int, int]:
+    if graph.movement[row] >= 0:
         return LineType.NONE, LineType.NONE
-    left = LineType.CONTINUOUS if lane.left < 0 else LineType.STRIPED
-    right = LineType.CONTINUOUS if lane.right < 0 else LineType.NONE
+    left = LineType.CONTINUOUS if graph.left[row] < 0 else LineType.STRIPED
+    right = LineType.CONTINUOUS if graph.right[row] < 0 else LineType.NONE
     return left, right
 
 
-def _highway_lane(lane: SketchedLane, width: float) -> AbstractLane:
-    start, curvature = lane.piece.start, lane.piece.curvature
-    looks = {"width": width, "line_types": _line_types(lane), "speed_limit": lane.speed_limit}
+def _highway_lane(piece: LanePiece, graph: LaneGraph, row: int) -> AbstractLane:
+    curvature = float(graph.curvature[row])
+    heading, length = float(graph.start_heading[row]), float(graph.length[row])
+    x, y = float(graph.start_x[row]), float(graph.start_y[row])
+    looks = {
+        "width": piece.width,
+        "line_types": _line_types(graph, row),
+        "speed_limit": piece.limit,
+        # On roads beside each other one may change; between ways through a junction one may not.
+        "forbidden": graph.movement[row] >= 0,
+    }
     if curvature == 0.0:
-        end = lane.piece.end
-        return StraightLane((start.x, start.y), (end.x, end.y), **looks)
+        end = (x + length * math.cos(heading), y + length * math.sin(heading))
+        return StraightLane((x, y), end, **looks)
     radius = 1.0 / curvature
-    centre = start.beside(radius)
     clockwise = curvature > 0.0
     quarter = math.pi / 2.0 if clockwise else -math.pi / 2.0
-    heading = graph_heading(start.heading)
     return CircularLane(
-        (centre.x, centre.y),
+        (x - radius * math.sin(heading), y + radius * math.cos(heading)),
         abs(radius),
         start_phase=heading - quarter,
-        end_phase=heading + curvature * lane.piece.length - quarter,
+        end_phase=heading + curvature * length - quarter,
         clockwise=clockwise,
         **looks,
     )
-
-
-def graph_heading(heading: float) -> float:
-    """Return a heading as the lane graph stores it: within (-pi, pi], and exactly -pi never."""
-    return math.atan2(math.sin(heading), math.cos(heading))

@@ -1,29 +1,39 @@
 """A town, ready to be driven in, and the towns by name."""
 
+import logging
+import os
+from collections import Counter, defaultdict
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.maps.builder import sketch_town
-from athrl_driving.maps.conflicts import MovementRelations, movement_relations
-from athrl_driving.maps.description import TownDescription
-from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals, no_signals
-from athrl_driving.maps.network import TownNetwork, build_network, graph_heading
-from athrl_driving.maps.sketch import Sketch
-from athrl_driving.maps.town03 import TOWN03
+from athrl_driving.maps.assembly import Rows, build_graph, build_movements, number_rows
+from athrl_driving.maps.conflicts import relations_of
+from athrl_driving.maps.junctions import Junction, number_junctions
+from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals
+from athrl_driving.maps.network import TownNetwork, build_network
+from athrl_driving.maps.opendrive import MapError, read_opendrive
+from athrl_driving.maps.opendrive.roadway import Roadway, lay_roadway
+from athrl_driving.maps.priority import priorities, ring_pieces, turn_of, yielding_ways
+from athrl_driving.maps.reachability import Drivable, drivable_part
+from athrl_driving.maps.signals import signals_of
+from athrl_driving.maps.stretches import (
+    all_pieces,
+    find_ways,
+    make_junctions_of_forks,
+    skip_very_short,
+    standing_pieces,
+)
 
-TOWNS: dict[str, TownDescription] = {"town03": TOWN03}
-"""The towns that the project ships."""
+_FOLDER = Path(__file__).parent / "towns"
 
+TOWNS: tuple[str, ...] = tuple(sorted(path.stem for path in _FOLDER.glob("*.xodr")))
+"""The names of the towns that the project ships."""
 
-@dataclass(frozen=True)
-class Junction:
-    """A junction's place name and kind: "T-junction", "crossing" or "roundabout" (one of its arms)."""
-
-    name: str
-    kind: str
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -42,121 +52,116 @@ class Town:
     lane_id: NDArray[np.int64]
     """Row of the graph -> its lane's id on that road."""
     junctions: tuple[Junction, ...]
-    """By junction number."""
+    """By junction number; junctions that a way crosses without a place to stand between are one."""
+    lane_kilometres: float
+    """Of all driving lanes in the file, ways through junctions too, before anything was left out."""
+    junction_arms: Counter[int]
+    """How many junctions in the file have how many arms (ends of roads with driving lanes)."""
+    left_out: tuple[tuple[str, int, float], ...]
+    """Driving lanes that lead nowhere or cannot be reached: (road's name, lane id, m)."""
 
     def lane_polylines(self, spacing: float = 2.0) -> list[NDArray[np.float64]]:
-        """Return the centre line of every lane as points [n, 2] in metres, at most `spacing` metres apart."""
-        lines = []
-        for index in self.lane_indices:
-            lane = self.network.get_lane(index)
-            count = 2 if lane.length <= spacing else int(np.ceil(lane.length / spacing)) + 1
-            lines.append(np.array([lane.position(s, 0.0) for s in np.linspace(0.0, lane.length, count)]))
+        """Return the centre line of every row as points [n, 2] in metres, at most `spacing` metres apart."""
+        graph, lines = self.graph, []
+        for row, length in enumerate(graph.length.tolist()):
+            straight = graph.curvature[row] == 0.0 or length <= spacing
+            s = np.linspace(0.0, length, 2 if straight else int(np.ceil(length / spacing)) + 1)
+            half = 0.5 * graph.curvature[row] * s
+            # The chord of an arc: its length is s * sinc(half the turn), its direction half the turn.
+            chord, direction = s * np.sinc(half / np.pi), graph.start_heading[row] + half
+            x = graph.start_x[row] + chord * np.cos(direction)
+            y = graph.start_y[row] + chord * np.sin(direction)
+            lines.append(np.stack([x, y], axis=1))
         return lines
 
 
-@cache
-def load_town(name: str) -> Town:
-    """Return a town, built once a process. Raises `ValueError` that names the towns there are."""
-    if name not in TOWNS:
-        raise ValueError(f"there is no town named {name!r}; choose one of: {', '.join(sorted(TOWNS))}")
-    return build_town(TOWNS[name])
+def load_town(name: str | os.PathLike[str]) -> Town:
+    """Return a town by name, or read it from an OpenDRIVE file (a path that ends in .xodr).
+
+    A file is read once a process, and again when it has changed. Raises `ValueError` with one line: the towns
+    there are, or for a file what is wrong on which road, lane and line.
+    """
+    path = _FOLDER / f"{name}.xodr"
+    if str(name).endswith(".xodr"):
+        path = Path(name)
+    elif str(name) not in TOWNS:
+        towns = ", ".join(TOWNS)
+        raise ValueError(
+            f"there is no town named {str(name)!r}; choose one of: {towns}, or a file's path (.xodr)"
+        )
+    try:
+        path = path.expanduser().resolve(strict=True)
+        changed = path.stat().st_mtime_ns
+    except OSError:
+        raise MapError(f"{path}: there is no such file") from None
+    return _read_town(path, changed)
 
 
-def build_town(description: TownDescription) -> Town:
-    """Build a town. Raises `ValueError` that names the street or the node that cannot be built."""
-    sketch = sketch_town(description)
-    relations = movement_relations(sketch)
-    graph = _graph(sketch)
-    network, indices = build_network(sketch, graph)
-    junctions = tuple(Junction(*junction) for junction in sketch.junctions)
+@lru_cache(maxsize=16)
+def _read_town(path: Path, _changed: int) -> Town:
+    return build_town(path.stem, lay_roadway(read_opendrive(path)))
+
+
+def build_town(name: str, roadway: Roadway) -> Town:
+    """Build a town from lanes. Raises `MapError` where they do not lead to each other."""
+    content, strips = roadway.content, roadway.strips
+    skip_very_short(strips)
+    make_junctions_of_forks(strips)
+    pieces = all_pieces(strips)
+    standing = standing_pieces(pieces)
+    drivable = drivable_part(strips, standing, find_ways(pieces, standing))
+    rows = number_rows(drivable)
+    _check_drivable(content.name, drivable)
+    left_out = _left_out(pieces, rows)
+    relations = relations_of(drivable.ways)
+    turns = np.array([turn_of(way) for way in drivable.ways], dtype=np.int64)
+    ring = ring_pieces(list(dict.fromkeys(rows.pieces)))
+    yields = yielding_ways(content, drivable.ways, relations, ring)
+    junctions, junction_of = number_junctions(content, drivable.ways, ring, yields)
+    signals, signal = signals_of(content, drivable.ways, junction_of, relations.conflicts)
+    graph = build_graph(drivable, rows, junction_of, turns)
+    network, indices = build_network(drivable, rows, graph)
+    _report(content.name, drivable, left_out)
     return Town(
-        name=description.name,
+        name=name,
         network=network,
         graph=graph,
-        movements=_movements(sketch, relations),
-        signals=no_signals(),
+        movements=build_movements(
+            drivable, rows, relations, yields, priorities(drivable.ways, turns, yields), signal
+        ),
+        signals=signals,
         lane_indices=indices,
-        road_name=tuple("-".join(lane.nodes) for lane in sketch.lanes),
-        lane_id=np.array([-1 - lane.identifier for lane in sketch.lanes], dtype=np.int64),
+        road_name=tuple(piece.strip.road.name for piece in rows.pieces),
+        lane_id=np.array([piece.lane.id for piece in rows.pieces], dtype=np.int64),
         junctions=junctions,
+        lane_kilometres=roadway.lane_kilometres,
+        junction_arms=roadway.junction_arms,
+        left_out=left_out,
     )
 
 
-def _compressed(lists: list[list[int]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    starts = np.concatenate([[0], np.cumsum([len(values) for values in lists])]).astype(np.int64)
-    return starts, np.array([value for values in lists for value in values], dtype=np.int64)
+def _check_drivable(name: str, drivable: Drivable) -> None:
+    if not any(piece.successors for piece in drivable.pieces):
+        raise MapError(f"{name}: its driving lanes do not lead to each other: nobody could drive for long")
 
 
-def _graph(sketch: Sketch) -> LaneGraph:
-    lanes = sketch.lanes
-
-    def floats(values: list[float]) -> NDArray[np.float64]:
-        return np.array(values, dtype=np.float64)
-
-    def integers(values: list[int]) -> NDArray[np.int64]:
-        return np.array(values, dtype=np.int64)
-
-    successor_start, successor = _compressed([lane.successors for lane in lanes])
-    headings = floats([graph_heading(lane.piece.start.heading) for lane in lanes])
-    offsets = np.zeros(len(lanes))
-    for movement in sketch.movements:
-        lengths = [lanes[row].piece.length for row in movement.lanes]
-        offsets[movement.lanes] = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
-    return LaneGraph(
-        curvature=floats([lane.piece.curvature for lane in lanes]),
-        start_x=floats([lane.piece.start.x for lane in lanes]),
-        start_y=floats([lane.piece.start.y for lane in lanes]),
-        start_heading=headings,
-        length=floats([lane.piece.length for lane in lanes]),
-        width=np.full(len(lanes), sketch.lane_width),
-        elevation=np.zeros(len(lanes)),
-        grade=np.zeros(len(lanes)),
-        speed_limit=floats([lane.speed_limit for lane in lanes]),
-        successor_start=successor_start,
-        successor=successor,
-        dead_end=np.array([not lane.successors for lane in lanes]),
-        junction=integers([lane.junction for lane in lanes]),
-        turn=integers([lane.turn for lane in lanes]),
-        left=integers([lane.left for lane in lanes]),
-        right=integers([lane.right for lane in lanes]),
-        start_cos=np.cos(headings),
-        start_sin=np.sin(headings),
-        box=_boxes(sketch),
-        movement=integers([lane.movement for lane in lanes]),
-        movement_offset=offsets,
-    )
+def _left_out(pieces: list, rows: Rows) -> tuple[tuple[str, int, float], ...]:
+    kept = set(rows.pieces)
+    lost: dict[tuple[str, int], float] = defaultdict(float)
+    for piece in pieces:
+        if piece not in kept:
+            lost[piece.strip.road.name, piece.lane.id] += piece.length
+    return tuple((road, lane, length) for (road, lane), length in lost.items())
 
 
-def _boxes(sketch: Sketch) -> NDArray[np.float64]:
-    boxes = np.empty((len(sketch.lanes), 4))
-    for row, lane in enumerate(sketch.lanes):
-        poses = [lane.piece.at(s) for s in np.linspace(0.0, lane.piece.length, 17)]
-        points = np.array([(pose.x, pose.y) for pose in poses])
-        # Between two samples an arc bulges by up to (step/2)^2 / (2 radius).
-        bulge = abs(lane.piece.curvature) * (lane.piece.length / 16.0) ** 2 / 8.0
-        boxes[row, :2] = points.min(axis=0) - sketch.lane_width / 2.0 - bulge
-        boxes[row, 2:] = points.max(axis=0) + sketch.lane_width / 2.0 + bulge
-    return boxes
-
-
-def _movements(sketch: Sketch, relations: MovementRelations) -> Movements:
-    lane_start, lane = _compressed([movement.lanes for movement in sketch.movements])
-    conflict_start, conflict = _compressed([[other for other, _ in pairs] for pairs in relations.conflicts])
-    sibling_start, sibling = _compressed([[other for other, _ in pairs] for pairs in relations.siblings])
-    lengths = [sum(sketch.lanes[row].piece.length for row in movement.lanes) for movement in sketch.movements]
-    return Movements(
-        origin=np.array([movement.origin for movement in sketch.movements], dtype=np.int64),
-        exit=np.array([movement.exit for movement in sketch.movements], dtype=np.int64),
-        length=np.array(lengths),
-        yields=np.array([movement.yields for movement in sketch.movements]),
-        priority=np.array([int(movement.yields) for movement in sketch.movements], dtype=np.int64),
-        signal=np.full(len(sketch.movements), -1),
-        lane_start=lane_start,
-        lane=lane,
-        conflict_start=conflict_start,
-        conflict=conflict,
-        release=np.array([length for pairs in relations.conflicts for _, length in pairs]),
-        sibling_start=sibling_start,
-        sibling=sibling,
-        shared=np.array([length for pairs in relations.siblings for _, length in pairs]),
-    )
+def _report(name: str, drivable: Drivable, left_out: tuple[tuple[str, int, float], ...]) -> None:
+    for road, lane, length in left_out:
+        _log.info(
+            "%s: %s, lane %d: %.1f m left out, they lead nowhere or nothing leads there",
+            name,
+            road,
+            lane,
+            length,
+        )
+    if drivable.opened:
+        _log.info("%s: %d changes of lane allowed against the marks", name, drivable.opened)

@@ -1,0 +1,156 @@
+"""Where a section's lanes lie beside the reference line, and how wide they are."""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from athrl_driving.maps.opendrive.model import Cubic, Lane, LaneSection, OpenDrive, Road, record_at
+
+Floats = NDArray[np.float64]
+
+NARROWEST = 2.2
+"""Metres: where a lane opens or closes, what is narrower than this is no lane to drive on."""
+
+_NEGATIVE_WIDTH = -1e-3
+_NARROW_SHARE = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class LaneBand:
+    """A driving lane between two stations: its centre's `t` and its width at the asked stations."""
+
+    lane: Lane
+    centre: Floats
+    width: Floats
+    constant: bool
+
+
+def bands_at(content: OpenDrive, road: Road, section: LaneSection, stations: Floats) -> dict[int, LaneBand]:
+    """Return the driving lanes of a section at stations [n] between two neighbouring `breakpoints`."""
+    middle = 0.5 * (float(stations[0]) + float(stations[-1]))
+    offset = record_at(road.offsets, middle)
+    shift, shift_constant = _value(offset, stations)
+    bands: dict[int, LaneBand] = {}
+    for side in (1, -1):
+        inner, constant = np.zeros_like(stations), shift_constant
+        for lane in _outwards(section, side):
+            records = lane.widths or lane.borders
+            values, own_constant = _value(record_at(records, middle) or records[0], stations)
+            width = values if lane.widths else np.abs(values) - inner
+            narrowest = float(width.min())
+            if narrowest < _NEGATIVE_WIDTH:
+                at = float(stations[int(np.argmin(width))])
+                message = f"its width is {narrowest:.3f} m at s = {at:.2f} m, it must not be negative"
+                raise content.error(road.id, lane.id, lane.line, message)
+            constant = constant and own_constant
+            if lane.drives:
+                bands[lane.id] = LaneBand(lane, shift + side * (inner + 0.5 * width), width, constant)
+            inner = inner + width
+    return bands
+
+
+def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[float]:
+    """Return a section's ends and the stations between where the formula of a driving lane changes."""
+    cuts = {section.s, section.end}
+    cuts.update(geometry.s for geometry in road.geometries)
+    cuts.update(record.s for record in road.offsets)
+    cuts.update(limit.s for limit in road.speeds)
+    for side in (1, -1):
+        records: list[Cubic] = []
+        for lane in _outwards(section, side):
+            records += lane.widths or lane.borders
+            if lane.drives:
+                cuts.update(record.s for record in records)
+                cuts.update(limit.s for limit in lane.speeds)
+                cuts.update(_narrow_ends(lane, section))
+    inside = sorted(s for s in cuts if section.s <= s <= section.end)
+    distinct = inside[:1]
+    for s in inside[1:]:
+        if s - distinct[-1] > 1e-6:
+            distinct.append(s)
+    return distinct
+
+
+def is_too_narrow(lane: Lane, section: LaneSection, width: float) -> bool:
+    """Tell whether a piece of a lane with this mean width belongs to where it opens or closes."""
+    return width < _narrow_limit(lane, section)
+
+
+def speed_limit_at(road: Road, lane: Lane, s: float, default: float) -> float:
+    """Return the posted limit (m/s): the lane's, else the road's, else `default`."""
+    for records in (lane.speeds, road.speeds):
+        valid = [record for record in records if record.s <= s + 1e-6]
+        if valid:
+            return valid[-1].limit or default
+    return default
+
+
+def elevation_at(road: Road, s: float) -> float:
+    """Return the reference line's height (m)."""
+    record = record_at(road.elevations, s) or (road.elevations[0] if road.elevations else None)
+    return record.at(s) if record is not None else 0.0
+
+
+def climbs_evenly(road: Road, start: float, end: float, tolerance: float) -> bool:
+    """Tell whether the height between two stations is within `tolerance` (m) of a straight slope."""
+    if len(road.elevations) < 2 and all(record.is_constant for record in road.elevations):
+        return True
+    first, last = elevation_at(road, start), elevation_at(road, end)
+    shares = np.linspace(0.0, 1.0, max(5, int((end - start) / 5.0)))[1:-1]
+    heights = (elevation_at(road, start + float(share) * (end - start)) for share in shares)
+    slope = last - first
+    return all(
+        abs(height - first - share * slope) <= tolerance
+        for share, height in zip(shares, heights, strict=True)
+    )
+
+
+def _outwards(section: LaneSection, side: int) -> list[Lane]:
+    """Return the lanes of a side (1 left, -1 right) from the centre to its outermost driving lane."""
+    lanes = [section.lanes[lane] for lane in sorted(section.lanes, key=abs) if lane * side > 0]
+    while lanes and not lanes[-1].drives:
+        lanes.pop()
+    return lanes
+
+
+def _value(record: Cubic | None, stations: Floats) -> tuple[Floats, bool]:
+    if record is None:
+        return np.zeros_like(stations), True
+    if record.is_constant:
+        return np.full_like(stations, record.a), True
+    ds = stations - record.s
+    return record.a + ds * (record.b + ds * (record.c + ds * record.d)), False
+
+
+def _narrow_limit(lane: Lane, section: LaneSection) -> float:
+    if not lane.widths or (len(lane.widths) == 1 and lane.widths[0].is_constant):
+        return -math.inf
+    stations = np.linspace(section.s, section.end, 17)
+    widest = max(_width_at(lane, float(s)) for s in stations)
+    return min(NARROWEST, _NARROW_SHARE * widest)
+
+
+def _width_at(lane: Lane, s: float) -> float:
+    record = record_at(lane.widths, s) or lane.widths[0]
+    return record.at(s)
+
+
+def _narrow_ends(lane: Lane, section: LaneSection) -> list[float]:
+    """Return the stations where a lane becomes wide or narrow enough, found by bisection."""
+    limit = _narrow_limit(lane, section)
+    if limit == -math.inf:
+        return []
+    stations = [float(s) for s in np.linspace(section.s, section.end, 65)]
+    found = []
+    for low, high in itertools.pairwise(stations):
+        below = _width_at(lane, low) < limit
+        if below == (_width_at(lane, high) < limit):
+            continue
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if (_width_at(lane, middle) < limit) == below else (low, middle)
+        found.append(high)
+    return found
