@@ -21,7 +21,8 @@ _STEP = 2.0
 class Lane:
     """One lane of one section; `left`, `middle` and `right` are points float64 [N, 3] x, y, elevation in m.
 
-    They run in driving direction; `number` is OpenDRIVE's, `section` counts from 0.
+    They run in driving direction (right-hand traffic); `number` is OpenDRIVE's, `section` counts from 0.
+    A lane `ends` where it goes on neither in the next section nor in another road.
     """
 
     road: str
@@ -33,6 +34,7 @@ class Lane:
     road_kind: str
     mph: float
     mark: str
+    ends: bool
     length: float
     left: np.ndarray
     middle: np.ndarray
@@ -148,6 +150,7 @@ def _lanes(road: Element, line: ReferenceLine) -> list[Lane]:
                         road_kind="" if kind is None else kind.get("type", ""),
                         mph=0.0 if speed is None else float(speed.attrib["max"]),
                         mark="none" if mark is None else mark.get("type", "none"),
+                        ends=_ends(lane, last=index == (len(sections) - 1 if side < 0 else 0)),
                         length=end - start,
                         left=inside[::direction],
                         middle=middle[::direction],
@@ -155,6 +158,12 @@ def _lanes(road: Element, line: ReferenceLine) -> list[Lane]:
                     )
                 )
     return result
+
+
+def _ends(lane: Element, last: bool) -> bool:
+    """Return whether a lane ends in the middle of its road."""
+    side = "predecessor" if int(lane.attrib["id"]) > 0 else "successor"
+    return not last and lane.find(f"link/{side}") is None
 
 
 def _cubics(elements: Iterable[Element], start: str) -> list[tuple[float, ...]]:

@@ -1,16 +1,16 @@
 """town04: a motorway of three lanes a direction round a grid of streets, joined by ramps.
 
-Seen from the west: the counter-clockwise carriageway lies outside. At "west gate" and "east gate", outside the
-ring, its ramps meet a street that passes under both carriageways to "west terminal" and "east terminal", where
-the clockwise one's ramps end. The grid's nodes are named by column a to e and row 1 (south) to 5 (north).
+The counter-clockwise carriageway lies outside. At "west gate" and "east gate", outside the ring, its ramps
+meet a street that passes under both carriageways to "west terminal" and "east terminal", where the clockwise
+one's ramps end. The grid's nodes are named by column a to e and row 1 (south) to 5 (north).
 """
 
 import itertools
 
 from towns.description import Bend, Bridge, Gore, Motorway, Node, Road, Town
 
-_COLUMNS = {"a": -235.0, "b": -125.0, "c": 0.0, "d": 110.0, "e": 230.0}
-_ROWS = {"1": -225.0, "2": -105.0, "3": 0.0, "4": 115.0, "5": 225.0}
+_COLUMNS = {"a": -220.0, "b": -115.0, "c": 0.0, "d": 105.0, "e": 220.0}
+_ROWS = {"1": -212.0, "2": -100.0, "3": 0.0, "4": 108.0, "5": 212.0}
 _CORNERS = ("a1", "a5", "e1", "e5")
 _SIGNALS = ("c3",)
 
