@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.compilation import inlined, inner
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     ACC_MAX,
     ACCELERATION,
@@ -60,7 +60,7 @@ from athrl_driving.highway.neighbours import closing_speed, lane_distance, neigh
 from athrl_driving.highway.routes import next_lane
 
 
-@inner
+@whole
 def act_as_controlled(rows: Rows, network: Network, row: int) -> bool:
     """Act as ControlledVehicle and MDPVehicle do without a new action; False where the route leads nowhere."""
     state, parameters = rows.state, rows.parameters
@@ -71,7 +71,7 @@ def act_as_controlled(rows: Rows, network: Network, row: int) -> bool:
     return True
 
 
-@inner
+@whole
 def act_as_idm(rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool, row: int) -> bool:
     """Act as IDMVehicle and LinearVehicle do; False where the route leads nowhere."""
     marks, state, parameters = rows.marks, rows.state, rows.parameters
@@ -97,7 +97,7 @@ def act_as_idm(rows: Rows, network: Network, scratch: Scratch, vehicles: int, co
     return True
 
 
-@inlined
+@part
 def _follow_road(rows: Rows, network: Network, row: int) -> bool:
     """At the end of the target lane choose the next one; False where the route leads nowhere."""
     target = rows.marks[TARGET_LANE, row]
@@ -111,7 +111,7 @@ def _follow_road(rows: Rows, network: Network, row: int) -> bool:
     return True
 
 
-@inner
+@whole
 def steering_control(rows: Rows, network: Network, row: int) -> float:
     """Return the steering angle (rad) towards the middle of the target lane."""
     state, parameters = rows.state, rows.parameters
@@ -138,7 +138,7 @@ def steering_control(rows: Rows, network: Network, row: int) -> float:
     return clip(angle, -most, most)
 
 
-@inner
+@whole
 def desired_acceleration(
     rows: Rows, network: Network, scratch: Scratch, judge: int, row: int, front: int
 ) -> float:
@@ -163,7 +163,7 @@ def desired_acceleration(
     return acceleration
 
 
-@inlined
+@part
 def _linear_acceleration(rows, network, scratch, judge, row, front):  # type: ignore[no-untyped-def]
     if row == NONE:
         return 0.0
@@ -180,7 +180,7 @@ def _linear_acceleration(rows, network, scratch, judge, row, front):  # type: ig
     return acceleration
 
 
-@inlined
+@part
 def _desired_gap(rows: Rows, scratch: Scratch, judge: int, row: int, front: int) -> float:
     """Return the distance (m) that IDM wants between `row` and `front`, by the judge's parameters."""
     parameters = rows.parameters
@@ -191,7 +191,7 @@ def _desired_gap(rows: Rows, scratch: Scratch, judge: int, row: int, front: int)
     return gap + speed * closing / (2.0 * math.sqrt(product))
 
 
-@inlined
+@part
 def _abort_lane_change(rows: Rows, network: Network, scratch: Scratch, vehicles: int, row: int) -> None:
     """Stay on the lane where another one close ahead is changing to the same lane."""
     marks = rows.marks
@@ -209,7 +209,7 @@ def _abort_lane_change(rows: Rows, network: Network, scratch: Scratch, vehicles:
             return
 
 
-@inlined
+@part
 def _choose_lane(rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int) -> None:
     """Take the lane to the left or to the right where MOBIL recommends it."""
     rows.state[TIMER, row] = 0.0
@@ -227,7 +227,7 @@ def _choose_lane(rows: Rows, network: Network, scratch: Scratch, count: int, con
             rows.marks[TARGET_LANE, row] = candidate
 
 
-@inner
+@whole
 def _is_worthwhile(
     rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int, candidate: int
 ) -> bool:
@@ -260,12 +260,12 @@ def _is_worthwhile(
     return not gain < parameters[LANE_CHANGE_MIN_ACC_GAIN, row]
 
 
-@inlined
+@part
 def _sign(number):  # type: ignore[no-untyped-def]
     return (number > 0) - (number < 0)
 
 
-@inner
+@whole
 def act_all(rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool) -> int:
     """Let all vehicles act in their order; return the row whose route leads nowhere, or NONE."""
     kinds = rows.marks[KIND]

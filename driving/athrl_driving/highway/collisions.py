@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.compilation import inlined, inner
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     CHECK_COLLISIONS,
     COLLIDABLE,
@@ -24,7 +24,7 @@ from athrl_driving.highway.columns import (
 )
 
 
-@inner
+@whole
 def collide_all(rows: Rows, scratch: Scratch, vehicles: int, count: int, dt: float) -> None:
     """Handle the collisions of every vehicle with the later ones and with all objects, in highway-env's order."""
     x, y, radius = scratch.x, scratch.y, scratch.radius
@@ -41,7 +41,7 @@ def collide_all(rows: Rows, scratch: Scratch, vehicles: int, count: int, dt: flo
                 _collide(rows, row, other, dt)
 
 
-@inner
+@whole
 def _collide(rows: Rows, row: int, other: int, dt: float) -> None:
     marks, state = rows.marks, rows.state
     if not (marks[CHECK_COLLISIONS, row] or marks[CHECK_COLLISIONS, other]):
@@ -72,13 +72,13 @@ def _collide(rows: Rows, row: int, other: int, dt: float) -> None:
             marks[HIT, other] = 1
 
 
-@inlined
+@part
 def _push(rows: Rows, row: int, push_x: float, push_y: float) -> None:
     rows.state[IMPACT_X, row], rows.state[IMPACT_Y, row] = push_x, push_y
     rows.marks[HAS_IMPACT, row] = 1
 
 
-@inner
+@whole
 def boxes_touching(rows, row, other, dt):  # type: ignore[no-untyped-def]
     """Return whether two boxes touch, whether they will within dt seconds, and the push (m) that parts them.
 
@@ -135,6 +135,6 @@ def boxes_touching(rows, row, other, dt):  # type: ignore[no-untyped-def]
     return touches, will_touch, least * push_x, least * push_y
 
 
-@inlined
+@part
 def _interval_distance(low, high, second_low, second_high):  # type: ignore[no-untyped-def]
     return second_low - high if low < second_low else low - second_high

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled, inlined, inner
+from athrl_driving.highway.compiling import entry, part, whole
 from athrl_driving.highway.columns import Floats, Integers
 from athrl_driving.highway.lanes import (
     AMPLITUDE,
@@ -57,9 +57,12 @@ def closest_lane_grid(lanes: Floats) -> tuple[Floats, Integers, Integers, Intege
     start = np.zeros(int(shape[0] * shape[1]) + 1, np.int64)
     grid = np.array([low[0], low[1], 1.0 / cell])
     cell_lane = np.zeros(0, np.int64)
-    needed = fill_grid(lanes, grid, shape, start, cell_lane)
-    cell_lane = np.zeros(needed, np.int64)
-    fill_grid(lanes, grid, shape, start, cell_lane)
+    room = np.empty(len(lanes)), np.empty((3, len(lanes)), np.int64)
+    room[1][2] = np.arange(len(lanes))
+    fill_grid(lanes, grid, shape, start, cell_lane, *room)
+    np.cumsum(start, out=start)
+    cell_lane = np.zeros(start[-1], np.int64)
+    fill_grid(lanes, grid, shape, start, cell_lane, *room)
     return grid, shape, start, cell_lane
 
 
@@ -72,43 +75,49 @@ def _box(lanes: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return corners.min(axis=0), corners.max(axis=0)
 
 
-@compiled
+@entry
 def lane_point(lanes: Floats, lane: int, along: float) -> tuple[float, float]:
     """Return a point on a lane's centre line."""
     return lane_centre(lanes, lane, along)
 
 
-@compiled
-def fill_grid(lanes: Floats, grid: Floats, shape: Integers, start: Integers, cell_lane: Integers) -> int:
-    """Count the lanes of all cells, and write them where there is room for them; return the count."""
+@entry
+def fill_grid(
+    lanes: Floats,
+    grid: Floats,
+    shape: Integers,
+    start: Integers,
+    cell_lane: Integers,
+    lower: Floats,
+    chosen: Integers,
+) -> None:
+    """Count the lanes of every cell into `start`, or, where there is room for them, write them.
+
+    `lower` [L] and `chosen` [3, L] are room to work in; the last row of `chosen` lists all lanes.
+    """
     side = 1.0 / grid[2]
-    lower = np.empty(len(lanes))
-    chosen = np.empty(len(lanes), np.int64)
-    kept = np.empty(len(lanes), np.int64)
     write = len(cell_lane) > 0
-    counts = np.zeros(len(start), np.int64)
-    everything = np.arange(len(lanes))
+    coarse, fine, everything = chosen[0], chosen[1], chosen[2]
     half_block = side * BLOCK / 2.0
     for block_row in range(shape[1] // BLOCK):
         for block_column in range(shape[0] // BLOCK):
             x = grid[0] + (2 * block_column + 1) * half_block
             y = grid[1] + (2 * block_row + 1) * half_block
-            candidates = _choose(lanes, everything, len(lanes), x, y, half_block, lower, chosen)
+            candidates = _choose(lanes, everything, len(lanes), x, y, half_block, lower, coarse)
             for index in range(BLOCK * BLOCK):
                 column = block_column * BLOCK + index % BLOCK
                 row = block_row * BLOCK + index // BLOCK
                 x, y = grid[0] + (column + 0.5) * side, grid[1] + (row + 0.5) * side
-                count = _choose(lanes, chosen, candidates, x, y, side / 2.0, lower, kept)
+                count = _choose(lanes, coarse, candidates, x, y, side / 2.0, lower, fine)
                 cell = row * shape[0] + column
-                counts[cell + 1] = count
-                if write:
-                    cell_lane[start[cell] : start[cell] + count] = kept[:count]
-    if not write:
-        start[:] = np.cumsum(counts)
-    return int(start[-1])
+                if not write:
+                    start[cell + 1] = count
+                    continue
+                for place in range(count):
+                    cell_lane[start[cell] + place] = fine[place]
 
 
-@inner
+@whole
 def _choose(lanes, among, count, x, y, half_side, lower, chosen):  # type: ignore[no-untyped-def]
     """Write the lanes that can be the closest in a square into `chosen`; return how many."""
     radius = half_side * math.sqrt(2.0)
@@ -124,7 +133,7 @@ def _choose(lanes, among, count, x, y, half_side, lower, chosen):  # type: ignor
     return written
 
 
-@inner
+@whole
 def _bounds(lanes, lane, x, y, radius):  # type: ignore[no-untyped-def]
     """Return the least and the greatest distance from a lane within `radius` of a point, or wider bounds."""
     if lanes[lane, SHAPE] != CIRCULAR:
@@ -156,7 +165,7 @@ def _bounds(lanes, lane, x, y, radius):  # type: ignore[no-untyped-def]
     return max(beside - radius, 0.0) + least, beside + radius + most
 
 
-@inlined
+@part
 def _excess(first, last, scale, length):  # type: ignore[no-untyped-def]
     """Return the least and greatest distance before or behind a lane over an interval of phases."""
     low, high = min(first * scale, last * scale), max(first * scale, last * scale)

@@ -1,6 +1,6 @@
 """The compiled functions that Python calls: a road's `act` and `step`, and its questions."""
 
-from athrl_driving.compilation import compiled
+from athrl_driving.highway.compiling import entry
 from athrl_driving.highway.behaviour import act_all
 from athrl_driving.highway.collisions import collide_all
 from athrl_driving.highway.columns import FAILED_ROW, LANE, NONE, Integers, Rows, Scratch
@@ -13,7 +13,7 @@ CLOSE_BEHIND = 2.0
 """Lengths of the observer behind it, within which highway-env shows objects and, if it is told to, vehicles."""
 
 
-@compiled
+@entry
 def act(
     rows: Rows, network: Network, scratch: Scratch, vehicles: int, objects: int, connected: bool
 ) -> bool:
@@ -25,7 +25,7 @@ def act(
     return failed == NONE
 
 
-@compiled
+@entry
 def step(
     rows: Rows,
     network: Network,
@@ -50,7 +50,7 @@ def step(
     return True
 
 
-@compiled
+@entry
 def find_lane(network: Network, x: float, y: float, heading: float) -> int:
     """Return the closest lane to a pose."""
     return closest_lane(network, x, y, heading, 0)

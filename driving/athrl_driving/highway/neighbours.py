@@ -7,7 +7,7 @@ Of vehicles abreast, highway-env's loop prefers the last of the list in front an
 
 import math
 
-from athrl_driving.compilation import inlined, inner
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     FRAME,
     HEADING,
@@ -40,7 +40,7 @@ MARGIN = 1.0
 """m beside a lane within which a vehicle still counts as on it."""
 
 
-@inlined
+@part
 def begin_frame(rows: Rows, network: Network, scratch: Scratch, count: int) -> None:
     """Note where everything is, and forget the lists of the frame before."""
     for row in range(count):
@@ -53,7 +53,7 @@ def begin_frame(rows: Rows, network: Network, scratch: Scratch, count: int) -> N
     scratch.counters[POOL_USED] = 0
 
 
-@inner
+@whole
 def neighbours(
     rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int, lane: int, along: float
 ) -> tuple[int, int]:
@@ -89,7 +89,7 @@ def neighbours(
     return front, rear
 
 
-@inner
+@whole
 def _list_lane(
     rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, lane: int
 ) -> None:
@@ -125,7 +125,7 @@ def _list_lane(
     scratch.counters[POOL_USED] = end
 
 
-@inlined
+@part
 def _along_if_on(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     """Return how far along a lane a position on it is, m; not a number where it is not on it."""
     room = lanes[lane, LANE_WIDTH] / 2.0 + MARGIN
@@ -146,14 +146,14 @@ def _along_if_on(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     return math.nan
 
 
-@inlined
+@part
 def lane_distance(rows: Rows, network: Network, scratch: Scratch, row: int, other: int) -> float:
     """Return how far `other` is before `row`, m along the lane of `row`."""
     lane = rows.marks[LANE, row]
     return lane_coordinates(network.lanes, lane, scratch.x[other], scratch.y[other])[0] - scratch.along[row]
 
 
-@inlined
+@part
 def closing_speed(rows: Rows, scratch: Scratch, row: int, other: int) -> float:
     """Return how fast `row` comes nearer to `other`, m/s in the direction of `row`."""
     speed, other_speed = rows.state[SPEED, row], rows.state[SPEED, other]

@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.compilation import inlined, inner
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     BICYCLE,
     CONTROLLED,
@@ -30,7 +30,7 @@ POINT_SPACING = 0.25
 """s between the points of a predicted trajectory."""
 
 
-@inner
+@whole
 def enforce_road_rules(
     rows: Rows, network: Network, scratch: Scratch, vehicles: int, yield_duration: float
 ) -> int:
@@ -57,7 +57,7 @@ def enforce_road_rules(
     return NONE
 
 
-@inlined
+@part
 def _stop(rows: Rows, row: int) -> None:
     marks = rows.marks
     if marks[KIND, row] >= CONTROLLED and not marks[IS_MDP, row]:
@@ -66,7 +66,7 @@ def _stop(rows: Rows, row: int) -> None:
         marks[IS_YIELDING, row] = marks[HAS_YIELDED, row] = 1
 
 
-@inlined
+@part
 def _yielding(rows: Rows, network: Network, first: int, second: int) -> int:
     """Return who yields: who has the lower priority, else who has the other one further in front."""
     marks, position = rows.marks, rows.position
@@ -81,7 +81,7 @@ def _yielding(rows: Rows, network: Network, first: int, second: int) -> int:
     return first if ahead_of_first > ahead_of_second else second
 
 
-@inner
+@whole
 def _predict(rows: Rows, network: Network, scratch: Scratch, row: int) -> bool:
     """Predict where a vehicle will be at constant speed; False where its route leads nowhere."""
     trajectory, reach = scratch.trajectory, scratch.reach
@@ -106,7 +106,7 @@ def _predict(rows: Rows, network: Network, scratch: Scratch, row: int) -> bool:
     return True
 
 
-@inner
+@whole
 def _is_conflict_possible(rows: Rows, scratch: Scratch, first: int, second: int) -> bool:
     """Return whether two predicted trajectories meet."""
     trajectory, reach = scratch.trajectory, scratch.reach
@@ -127,7 +127,7 @@ def _is_conflict_possible(rows: Rows, scratch: Scratch, first: int, second: int)
     return False
 
 
-@inner
+@whole
 def _has_corner_inside(rows, trajectory, point, first, second):  # type: ignore[no-untyped-def]
     """Return whether a corner, a side's middle or the centre of the first box is inside the second."""
     half_length = 1.5 * rows.parameters[LENGTH, first] / 2.0

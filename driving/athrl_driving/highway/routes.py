@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.compilation import inlined, inner
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import LANE, NONE, ROUTE_END, ROUTE_HEAD, Rows
 from athrl_driving.highway.lanes import (
     FIRST_LANE,
@@ -17,7 +17,7 @@ from athrl_driving.highway.lanes import (
 )
 
 
-@inlined
+@part
 def road_between(network: Network, origin: int, destination: int) -> int:
     """Return the road from one node to another, or NONE."""
     if not 0 <= origin < len(network.node_roads):
@@ -29,7 +29,7 @@ def road_between(network: Network, origin: int, destination: int) -> int:
     return NONE
 
 
-@inner
+@whole
 def next_lane(rows: Rows, network: Network, row: int, lane: int, along: float) -> int:
     """Return the lane to follow after `lane`, on which the vehicle is at `along` (m).
 
@@ -60,7 +60,7 @@ def next_lane(rows: Rows, network: Network, row: int, lane: int, along: float) -
     return best_lane
 
 
-@inner
+@whole
 def _lane_of_road(network: Network, lane: int, following: int, number: int, x: float, y: float) -> int:
     """Return the lane of the following road: the planned one, the same one, or the one that is closest."""
     roads = network.roads
@@ -78,7 +78,7 @@ def _lane_of_road(network: Network, lane: int, following: int, number: int, x: f
     return best_lane
 
 
-@inner
+@whole
 def pose_on_route(rows: Rows, network: Network, row: int, along: float) -> tuple[float, float, float]:
     """Return where (x, y in m, heading) a vehicle is that follows its route's lanes for `along` m.
 
