@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from athrl import evaluate, run_file, services, status, watch
+from athrl import certificates, evaluate, run_file, services, status, watch
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
 from athrl.train import command as train
 
@@ -29,6 +29,7 @@ app.command("evaluator")(services.evaluator)
 app.command("evaluate")(evaluate.evaluate)
 app.command("watch")(watch.watch)
 app.command("status")(status.status)
+app.command("certificates")(certificates.certificates)
 app.command("run-file")(run_file.run_file)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from athrl_protocol.certificates import VARIABLE
 from athrl_protocol.run_file import RunFile
 
 DEFAULTS = RunFile()
@@ -30,6 +31,16 @@ SetOption = Annotated[
 ConnectOption = Annotated[
     str, typer.Option("--connect", envvar="ATHRL_CONNECT", metavar="ADDRESS", help="The learner's address.")
 ]
+CertificatesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--certificates",
+        envvar=VARIABLE,
+        metavar="FOLDER",
+        callback=lambda folder: use_certificates(folder),
+        help="Folder that `athrl certificates` made, or the one of a single role in it.",
+    ),
+]
 RunOption = Annotated[str, typer.Option("--run", envvar="ATHRL_RUN", metavar="RUN", help="The run's name.")]
 LiveRunOption = Annotated[
     str | None,
@@ -38,6 +49,13 @@ LiveRunOption = Annotated[
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def use_certificates(folder: str | Path | None) -> Path | None:
+    """Tell every session of this process and of those it starts which folder to use, if any is given."""
+    if folder:
+        os.environ[VARIABLE] = str(folder)
+    return Path(folder) if folder else None
 
 
 def overrides(given: list[str] | None) -> list[str]:

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from athrl_protocol.refusal_log import refusals_logged
+from athrl_protocol.run_file import RunFile
 
 from athrl import runs
 from athrl.errors import needs
 from athrl.names import own_name
-from athrl.options import DEFAULTS, ConnectOption, RunFileOption, RunOption, SetOption, overrides
+from athrl.options import (
+    DEFAULTS,
+    CertificatesOption,
+    ConnectOption,
+    RunFileOption,
+    RunOption,
+    SetOption,
+    overrides,
+)
 from athrl.stopping import stop_on_signal
 
 NameOption = Annotated[
@@ -33,6 +44,7 @@ def learner(
             "--resume-if-present", help="Continue the run when its folder holds one, else start it."
         ),
     ] = False,
+    certificates: CertificatesOption = None,
 ) -> None:
     """Take experience in, train, publish policies; owns the run, and ends with it."""
     given = overrides(settings)
@@ -45,17 +57,24 @@ def learner(
         if not (resume_if_present and runs.holds_run(folder)):
             folder = None
     # The signals are caught before the import, which takes seconds.
-    with stop_on_signal() as stop:
+    with stop_on_signal() as stop, _refusals_logged(certificates, run_settings):
         with needs("learner"):
             from athrl_learner import run_learner
         if not stop.is_set():
             run_learner(run_settings, resume=folder, stop=stop)
 
 
+def _refusals_logged(certificates: Path | None, settings: RunFile) -> AbstractContextManager[None]:
+    """Have the learner's log say who was refused what, where anybody is."""
+    secure = certificates is not None or bool(settings.network.certificates)
+    return refusals_logged() if secure else nullcontext()
+
+
 def actor(
     connect: ConnectOption = DEFAULTS.network.listen,
     run: RunOption = DEFAULTS.run.name,
     name: NameOption = None,
+    certificates: CertificatesOption = None,
 ) -> None:
     """Drive environments with the newest policy and stream what happens to the learner."""
     with stop_on_signal() as stop:
@@ -75,6 +94,7 @@ def evaluator(
             envvar="ATHRL_FOLDER", help="Folder that holds the runs' folders; results are written there."
         ),
     ] = Path(DEFAULTS.run.folder),
+    certificates: CertificatesOption = None,
 ) -> None:
     """Score policies on fixed episodes, record them and let them be watched."""
     with stop_on_signal() as stop:

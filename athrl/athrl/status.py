@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
+from athrl_protocol import PresenceWatcher, StateSubscriber, fetch_run_file, open_session
 from rich.console import Console
 from rich.live import Live
 
 from athrl.errors import CommandError
 from athrl.names import host_name
-from athrl.options import DEFAULTS, ConnectOption, JsonOption, LiveRunOption
+from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, JsonOption, LiveRunOption
 from athrl.picture import draw
 from athrl.run_view import RunSnapshot, RunView
 from athrl.stopping import stop_on_signal
@@ -37,12 +39,14 @@ def status(
             help="Exit code 0 says that such a service takes part; an actor has this host's name.",
         ),
     ] = None,
+    certificates: CertificatesOption = None,
 ) -> None:
     """Show how a live run is."""
+    if check is not None:
+        _check(connect, run, check)
+        return
     with RunView(connect, run, timeout=ANSWER_SECONDS) as view:
-        if check is not None:
-            _check(view, check)
-        elif follow:
+        if follow:
             _follow(view)
         else:
             snapshot = _snapshot(view)
@@ -65,17 +69,21 @@ def _follow(view: RunView) -> None:
             live.update(draw(view.snapshot(), []), refresh=True)
 
 
-def _check(view: RunView, who: str) -> None:
-    """Raise `CommandError` unless the service is there; the learner has to tell the run's state, too."""
+def _check(connect: str, run: str | None, who: str) -> None:
+    """Raise `CommandError` unless the service is there; the learner has to tell the run's state, too.
+
+    Asks for no more than every role may know, so that a service's container can look with its certificate.
+    """
     role, _, name = who.partition("/")
     name = name or (host_name() if role == "actor" else role)
-    deadline = time.monotonic() + ANSWER_SECONDS
-    while time.monotonic() < deadline:
-        snapshot = view.snapshot()
-        if (role, name) in snapshot.present and (role != "learner" or snapshot.state is not None):
-            return
-        time.sleep(0.05)
-    raise CommandError(f"no {role} {name!r} takes part in the run {view.run}")
+    with ExitStack() as stack:
+        session = stack.enter_context(open_session(connect=connect, timeout=ANSWER_SECONDS))
+        run = fetch_run_file(session, run, timeout=ANSWER_SECONDS).run.name
+        presence = stack.enter_context(PresenceWatcher(session, run))
+        state = stack.enter_context(StateSubscriber(session, run))
+        present = presence.wait_for(lambda there: (role, name) in there, ANSWER_SECONDS)
+        if not present or (role == "learner" and state.wait(ANSWER_SECONDS) is None):
+            raise CommandError(f"no {role} {name!r} takes part in the run {run}")
 
 
 def facts(snapshot: RunSnapshot) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from athrl.errors import needs
-from athrl.options import DEFAULTS, ConnectOption, LiveRunOption
+from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, LiveRunOption
 from athrl.stopping import stop_on_signal
 
 
@@ -29,6 +29,7 @@ def watch(
     bind: Annotated[
         str, typer.Option(help="Address of this machine at which --serve listens.")
     ] = "127.0.0.1",
+    certificates: CertificatesOption = None,
 ) -> None:
     """Draw an episode in rerun: the evaluator's or an actor's while it is driven, or a recorded one."""
     role, name = ("actor", what) if what is not None else ("evaluator", "evaluator")

@@ -1,5 +1,6 @@
 """What the services of a run say to each other: messages, keys, sessions, delivery, the run file."""
 
+from athrl_protocol.address import complete_address
 from athrl_protocol.announcements import (
     EvaluationPublisher,
     EvaluationResult,
@@ -21,6 +22,7 @@ from athrl_protocol.errors import (
     InvalidMessage,
     LearnerNotFound,
     NameTaken,
+    NotAdmitted,
     ProtocolError,
     RunFileError,
     RunNotFound,
@@ -35,7 +37,7 @@ from athrl_protocol.newest import NewestPublisher, NewestSubscriber
 from athrl_protocol.presence import Presence, PresenceWatcher, announce_presence
 from athrl_protocol.run_file import RunFile, default_toml, read_run_file, to_toml
 from athrl_protocol.schema import SCHEMA_HASH, SCHEMA_VERSION
-from athrl_protocol.session import complete_address, open_session
+from athrl_protocol.session import open_session
 from athrl_protocol.upload import ChunkUploader
 from athrl_protocol.upload_window import UploadStatistics
 
@@ -65,6 +67,7 @@ __all__ = [
     "NameTaken",
     "NewestPublisher",
     "NewestSubscriber",
+    "NotAdmitted",
     "Phase",
     "Point",
     "PolicyPublisher",

@@ -15,6 +15,10 @@ class LearnerNotFound(ProtocolError):  # noqa: N818
     """Nobody answers at the address."""
 
 
+class NotAdmitted(ProtocolError):  # noqa: N818
+    """The learner and this service do not trust each other's certificates."""
+
+
 class RunNotFound(ProtocolError):  # noqa: N818
     """The address serves other runs, not this one."""
 

@@ -23,11 +23,12 @@ import zenoh
 
 from athrl_protocol import athrl_pb2
 from athrl_protocol.chunk import Chunk
-from athrl_protocol.chunk_codec import decode_chunk
+from athrl_protocol.chunk_codec import MAXIMUM_MESSAGE_BYTES, decode_chunk
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
 from athrl_protocol.ledger import Gap, Known, Ledger
+from athrl_protocol.refusals import Refusals
 from athrl_protocol.schema import encode_message
 from athrl_protocol.session import undeclare_quietly
 
@@ -102,6 +103,7 @@ class IntakeStatistics:
         gaps: arrived before an earlier one.
         busy: sent back for lack of room.
         invalid: refused for good, by reason.
+        invalid_by_sender: the same for each sender, by the name that it gives itself.
         stored: of the run: taken in.
         refused: of the run: did not fit it.
         lost: of the run: never taken in here and not held by their actor any more; they were acknowledged
@@ -118,6 +120,7 @@ class IntakeStatistics:
     lost: int = 0
     busy: int = 0
     invalid: dict[str, int] = field(default_factory=dict)
+    invalid_by_sender: dict[str, dict[str, int]] = field(default_factory=dict)
     active_actors: int = 0
 
 
@@ -131,6 +134,7 @@ class ChunkIntake(Closing):
             IntakeBusy, IntakeFinished, or InvalidMessage for a chunk that does not fit the run. Any other
             exception is kept in `failure`, and nothing is taken in from then on.
         ledger: to go on with; what `ledger()` returned when the checkpoint was made, or a ledger.
+        largest: bytes of a message beyond which it can be no chunk of this run.
     """
 
     def __init__(
@@ -139,7 +143,10 @@ class ChunkIntake(Closing):
         run: str,
         accept: Callable[[Chunk], None] | Receiver,
         ledger: dict[str, Any] | Ledger | None = None,
+        largest: int = MAXIMUM_MESSAGE_BYTES,
     ) -> None:
+        self._largest = largest
+        self._refusals = Refusals("a chunk", _log)
         self._receiver = accept if isinstance(accept, Receiver) else _Plain(accept)
         self._ledger = ledger if isinstance(ledger, Ledger) else Ledger(ledger)
         self._statistics = IntakeStatistics()
@@ -177,6 +184,8 @@ class ChunkIntake(Closing):
         with self._lock:
             statistics = copy.deepcopy(self._statistics)
             statistics.active_actors = self._active_actors()
+            statistics.invalid = self._refusals.by_reason()
+            statistics.invalid_by_sender = self._refusals.by_sender()
             totals = self._ledger.totals
             statistics.stored, statistics.refused, statistics.lost = (
                 totals.stored,
@@ -229,15 +238,17 @@ class ChunkIntake(Closing):
 
     def _judge(self, query: zenoh.Query) -> athrl_pb2.Acknowledgement | athrl_pb2.Refusal:
         """Take in what the query brings, and return the answer to it."""
-        message = query.payload.to_bytes() if query.payload is not None else b""
+        sender = str(query.key_expr).rpartition("/")[2]
         try:
+            message = self._message(query)
             chunk = decode_chunk(message)
-            if str(query.key_expr).rpartition("/")[2] != chunk.actor:
-                raise InvalidMessage("value", f"chunk: of actor {chunk.actor!r} under {query.key_expr}")
+            if sender != chunk.actor:
+                raise InvalidMessage("value", f"chunk: of actor {chunk.actor!r} under the key of another")
             with self._lock:
                 return self._take_in(chunk, message)
         except InvalidMessage as error:
-            return self._invalid(error)
+            self._refusals.add(sender, error)
+            return athrl_pb2.Refusal(reason=athrl_pb2.Refusal.INVALID, text=str(error))
         except IntakeBusy:
             return self._busy()
         except IntakeFinished:
@@ -245,6 +256,13 @@ class ChunkIntake(Closing):
         except Exception as error:
             self._fail(error)
             return self._busy()
+
+    def _message(self, query: zenoh.Query) -> bytes:
+        """Return what a query brings, if it is small enough to be looked at; else raise InvalidMessage."""
+        size = len(query.payload) if query.payload is not None else 0
+        if size > self._largest:
+            raise InvalidMessage("size", f"chunk: {size} bytes, at most {self._largest} in this run")
+        return query.payload.to_bytes() if query.payload is not None else b""
 
     def _fail(self, error: Exception) -> None:
         """Take nothing in any more after the learner's own mistake; its main thread has to know."""
@@ -293,10 +311,3 @@ class ChunkIntake(Closing):
         with self._lock:
             self._statistics.busy += 1
         return athrl_pb2.Refusal(reason=athrl_pb2.Refusal.BUSY)
-
-    def _invalid(self, error: InvalidMessage) -> athrl_pb2.Refusal:
-        with self._lock:
-            invalid = self._statistics.invalid
-            invalid[error.reason] = invalid.get(error.reason, 0) + 1
-        _log.warning("a chunk was refused: %s", error)
-        return athrl_pb2.Refusal(reason=athrl_pb2.Refusal.INVALID, text=str(error))

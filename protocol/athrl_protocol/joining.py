@@ -33,13 +33,16 @@ def join_run(
 
     Raises:
         LearnerNotFound: nobody answers at the address.
+        NotAdmitted: the learner there and this service do not trust each other's certificates.
         RunNotFound: the learner there has another run.
         NameTaken: another live service of that role has the name.
     """
     patience = NetworkSection().patience  # the run's own is not known before its learner is there
     with _notice_at_a_terminal(f"waiting up to {patience:.0f} s for a learner at {connect}"):
         try:
-            session = stack.enter_context(open_session(connect=connect, timeout=patience, stop=stop))
+            session = stack.enter_context(
+                open_session(connect=connect, timeout=patience, stop=stop, role=role)
+            )
             run_file = fetch_run_file(session, run, timeout=patience, stop=stop)
         except LearnerNotFound:
             if stop.is_set():

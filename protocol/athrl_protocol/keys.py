@@ -77,6 +77,18 @@ class Keys:
         """Live frames of one service."""
         return f"{self._root}/live/{check_name('role', role)}/{check_name('name', name)}"
 
+    def metrics_of(self, role: str) -> str:
+        """Matches the metrics of every service of a role."""
+        return f"{self._root}/metrics/{check_name('role', role)}/*"
+
+    def alive_of(self, role: str) -> str:
+        """Matches the token of every service of a role."""
+        return f"{self._root}/alive/{check_name('role', role)}/*"
+
+    def live_of(self, role: str) -> str:
+        """Matches the frames of every service of a role."""
+        return f"{self._root}/live/{check_name('role', role)}/*"
+
     @property
     def every_evaluation(self) -> str:
         """Matches the results of every driver."""

@@ -3,7 +3,11 @@
 Scouting is off, so a session talks to the address it was given and to nobody else. A client that loses
 its learner tries again every 0.1 to 0.5 s for as long as it is open. Close sessions in `finally` (or use
 `with`): one that is left open with a subscriber keeps its process from ending. Zenoh's own log is not
-switched on, because it goes to standard output.
+switched on here, because it goes to standard output (`refusal_log`).
+
+With certificates every connection is TLS of both sides, and the learner lets each role do its part only
+(`access`). A client reads its files anew for each connection, so a renewed certificate is shown with the
+next.
 """
 
 from __future__ import annotations
@@ -13,11 +17,17 @@ import json
 import socket
 import threading
 import time
+from pathlib import Path
 from typing import Any, Protocol
 
 import zenoh
 
-from athrl_protocol.errors import AddressInUse, LearnerNotFound, ProtocolError
+from athrl_protocol.access import access_list
+from athrl_protocol.address import complete_address, split_address
+from athrl_protocol.certificates import Certificates, find_certificates
+from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
+from athrl_protocol.handshake import why_not_admitted
+from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, size_filter
 
 # A silent peer is given up after this time; a killed one at once, by its closed connection.
 LEASE_MILLISECONDS = 5_000
@@ -25,6 +35,8 @@ RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 
 # Zenoh's attempts cannot be interrupted by a signal, so each is short.
 ATTEMPT_SECONDS = 1.0
 PAUSE_SECONDS = 0.1
+# A refusal may pass: certificates are being renewed, a learner is being replaced.
+REFUSED_SECONDS = 3.0
 
 
 def open_session(
@@ -33,6 +45,10 @@ def open_session(
     connect: str | None = None,
     timeout: float,
     stop: threading.Event | None = None,
+    run: str | None = None,
+    role: str = "viewer",
+    certificates: str | Path | None = None,
+    largest_chunk: int = LARGEST_CHUNK,
 ) -> zenoh.Session:
     """Open the session of a service; exactly one of `listen` and `connect` is given.
 
@@ -41,45 +57,32 @@ def open_session(
         connect: address of the learner.
         timeout: seconds to wait for the learner at `connect`.
         stop: set by somebody else to give up waiting early.
+        run: the learner's run, for whose keys its access list and its limits are made.
+        role: of a client, whose certificate is shown.
+        certificates: folder of certificates; by default the one that ATHRL_CERTIFICATES names. With it the
+            address is `tls/...`, and written as `tcp/...` is taken for that.
+        largest_chunk: bytes of a chunk's message that the learner takes.
 
     Raises:
         AddressInUse: another process listens there already; raised at once.
         LearnerNotFound: nobody listens there within the timeout, or `stop` was set.
-        ProtocolError: no address, or one at which this machine cannot listen.
+        NotAdmitted: somebody listens there, but one of the two does not trust the other's certificate.
+        ProtocolError: no address, one at which this machine cannot listen, or certificates are missing.
     """
     if (listen is None) == (connect is None):
         raise ValueError("open_session takes either listen or connect")
     if listen is not None:
-        return _listen(complete_address(listen))
+        shown = find_certificates(certificates, "learner")
+        if shown is not None and run is None:
+            raise ValueError("a session that listens with certificates needs the name of its run")
+        return _listen(complete_address(listen, secure=shown is not None), shown, run, largest_chunk)
     assert connect is not None
-    return _connect(complete_address(connect), timeout, stop or threading.Event())
+    shown = find_certificates(certificates, role)
+    address = complete_address(connect, secure=shown is not None)
+    return _connect(address, shown, timeout, stop or threading.Event())
 
 
-def complete_address(address: str) -> str:
-    """Return the address as Zenoh writes it: `host:port` becomes `tcp/host:port`.
-
-    Raises:
-        ProtocolError: it is no address.
-    """
-    complete = address if "/" in address else f"tcp/{address}"
-    split_address(complete)
-    return complete
-
-
-def split_address(address: str) -> tuple[str, int]:
-    """Return host and port of an address such as `tcp/127.0.0.1:7447`.
-
-    Raises:
-        ProtocolError: it is no address.
-    """
-    protocol, _, place = address.partition("/")
-    host, _, port = place.rpartition(":")
-    if protocol != "tcp" or not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise ProtocolError(f"{address!r} is not an address: it should look like tcp/127.0.0.1:7447")
-    return host.strip("[]"), int(port)
-
-
-def _configuration(mode: str, **settings: Any) -> zenoh.Config:
+def _configuration(mode: str, shown: Certificates | None, settings: dict[str, Any]) -> zenoh.Config:
     configuration = zenoh.Config()
     everything = {
         "mode": mode,
@@ -88,17 +91,42 @@ def _configuration(mode: str, **settings: Any) -> zenoh.Config:
         "scouting/delay": 0,  # a router would wait that long for what scouting finds
         "transport/link/tx/lease": LEASE_MILLISECONDS,
         **settings,
+        **(_encryption(shown) if shown is not None else {"transport/link/protocols": ["tcp"]}),
     }
     for key, value in everything.items():
         configuration.insert_json5(key, json.dumps(value))
     return configuration
 
 
-def _listen(address: str) -> zenoh.Session:
+def _encryption(shown: Certificates) -> dict[str, Any]:
+    return {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls": {
+            "root_ca_certificate": str(shown.authority),
+            "enable_mtls": True,
+            "listen_certificate": str(shown.certificate),
+            "listen_private_key": str(shown.key),
+            "connect_certificate": str(shown.certificate),
+            "connect_private_key": str(shown.key),
+            "close_link_on_expiration": True,
+        },
+        # It would pass by the encryption.
+        "transport/shared_memory/enabled": False,
+    }
+
+
+def _listen(address: str, shown: Certificates | None, run: str | None, largest_chunk: int) -> zenoh.Session:
     require_free(address)
-    configuration = _configuration("router", **{"listen/endpoints": [address]})
+    settings: dict[str, Any] = {
+        "listen/endpoints": [address],
+        "transport/link/rx/max_message_size": LARGEST_CHUNK,
+    }
+    if run is not None:
+        settings["low_pass_filter"] = size_filter(run, largest_chunk)
+        if shown is not None:
+            settings["access_control"] = access_list(run)
     try:
-        return zenoh.open(configuration)
+        return zenoh.open(_configuration("router", shown, settings))
     except zenoh.ZError as error:
         if "in use" in str(error):
             raise _in_use(address) from None
@@ -128,31 +156,39 @@ def require_free(address: str) -> None:
         raise _in_use(address) from None
 
 
-def _connect(address: str, timeout: float, stop: threading.Event) -> zenoh.Session:
-    deadline = time.monotonic() + timeout
-    cause = "nobody listens there"
+def _connect(
+    address: str, shown: Certificates | None, timeout: float, stop: threading.Event
+) -> zenoh.Session:
+    began = time.monotonic()
     while True:
         cause = _probe(address)
+        refusal = None
         if not cause:
             try:
-                return zenoh.open(_client_configuration(address))
+                return zenoh.open(_client_configuration(address, shown))
             except zenoh.ZError:
-                cause = "somebody listens there who is no learner"
-        if time.monotonic() >= deadline or stop.wait(PAUSE_SECONDS):
+                refusal = why_not_admitted(address, shown, ATTEMPT_SECONDS)
+                cause = refusal or "somebody listens there who is no learner"
+        waited = time.monotonic() - began
+        if refusal is not None and waited >= min(timeout, REFUSED_SECONDS):
+            raise NotAdmitted(f"the learner at {address} and this service do not trust each other: {refusal}")
+        if waited >= timeout or stop.wait(PAUSE_SECONDS):
             raise LearnerNotFound(
                 f"no learner at {address} within {timeout:g} s ({cause}): start it, or give its address"
             )
 
 
-def _client_configuration(address: str) -> zenoh.Config:
+def _client_configuration(address: str, shown: Certificates | None) -> zenoh.Config:
     return _configuration(
         "client",
-        **{
+        shown,
+        {
             "listen/endpoints": [],
             "connect/endpoints": [address],
             "connect/timeout_ms": int(ATTEMPT_SECONDS * 1000),
             "connect/exit_on_failure": True,
             "connect/retry": RETRY,
+            "transport/link/rx/max_message_size": LARGEST_POLICY,
         },
     )
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from athrl import runs
 from athrl.errors import say
 from athrl.names import program
-from athrl.options import RunFileOption, SetOption, overrides
+from athrl.options import CertificatesOption, RunFileOption, SetOption, overrides, use_certificates
 from athrl.stopping import stop_on_signal
 from athrl.train.closing import comparison_table, read_comparison
 from athrl.train.display import Display
@@ -40,6 +40,7 @@ def train(
         int,
         typer.Option(min=0, max=65535, metavar="PORT", help="Where rerun viewers connect; 0: no viewers."),
     ] = 9877,
+    certificates: CertificatesOption = None,
 ) -> None:
     """Train on this machine: a learner, actors and an evaluator as processes of their own.
 
@@ -48,6 +49,7 @@ def train(
     """
     require_services()
     plan = _plan(run_file, overrides(settings), name, resume)
+    use_certificates(plan.settings.network.certificates)
     require_map(plan.settings.environment.town)
     began = time.time()
     with Display() as display:

@@ -214,8 +214,13 @@ class NetworkSection(Section):
 
     listen: str = Field(
         default="tcp/127.0.0.1:7447",
-        pattern=r"^tcp/.+:\d+$",
-        description="The learner's address, as Zenoh writes it.",
+        pattern=r"^(tcp|tls)/.+:\d+$",
+        description="The learner's address, as Zenoh writes it; with certificates tcp stands for tls.",
+    )
+    certificates: str = Field(
+        default="",
+        description="Folder of the certificates by which services know each other, made by `athrl "
+        "certificates`; empty: ATHRL_CERTIFICATES, or without any no encryption and no check.",
     )
     patience: float = Field(
         default=30.0,

@@ -16,6 +16,7 @@ from athrl_protocol import (
     RunFile,
     StatePublisher,
 )
+from athrl_protocol.limits import largest_chunk_of
 
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
@@ -99,7 +100,7 @@ def make_parts(
         recorded_version(folder.latest_policy_facts), saved_version(content) if content is not None else -1
     )
     ledger = saved_ledger(content) if content is not None else None
-    intake = stack.enter_context(ChunkIntake(session, run, store.accept, ledger))
+    intake = stack.enter_context(ChunkIntake(session, run, store.accept, ledger, largest_chunk_of(run_file)))
     presence = stack.enter_context(PresenceWatcher(session, run))
     learner = run_file.learner
     checkpointer = Checkpointer(folder.checkpoints, learner.checkpoint_seconds, learner.checkpoints_kept)

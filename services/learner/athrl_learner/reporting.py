@@ -139,6 +139,11 @@ class Reporter:
     def _intake_counts(self) -> dict[str, float]:
         statistics = asdict(self._intake.statistics())
         invalid = statistics.pop("invalid")
+        by_sender = statistics.pop("invalid_by_sender")
         counts = {f"intake/{name}": float(value) for name, value in statistics.items()}
         counts["intake/invalid"] = float(sum(invalid.values()))
-        return counts | {f"intake/invalid/{reason}": float(count) for reason, count in invalid.items()}
+        counts |= {f"intake/invalid/{reason}": float(count) for reason, count in invalid.items()}
+        for sender, reasons in by_sender.items():
+            for reason, count in reasons.items():
+                counts[f"intake/invalid/{reason}/{sender}"] = float(count)
+        return counts

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import torch
 from athrl_protocol import RunFile, announce_presence, open_session, read_run_file, serve_run_file, to_toml
+from athrl_protocol.limits import largest_chunk_of
 
 from athrl_learner.checkpoint import CheckpointContent, newest_intact_checkpoint, remove_unfinished
 from athrl_learner.errors import CannotResume
@@ -69,7 +70,15 @@ def run_learner(
         folder = stack.enter_context(RunFolder(path))
         content = _prepare(folder, resuming=resume is not None)
         # The address before the folder's content: a run that cannot listen leaves nothing behind.
-        session = stack.enter_context(open_session(listen=run_file.network.listen, timeout=_SESSION_TIMEOUT))
+        session = stack.enter_context(
+            open_session(
+                listen=run_file.network.listen,
+                timeout=_SESSION_TIMEOUT,
+                run=run_file.run.name,
+                certificates=run_file.network.certificates,
+                largest_chunk=largest_chunk_of(run_file),
+            )
+        )
         parts = make_parts(stack, session, run_file, folder, content)
         # Only settings that the checkpoint fits replace those it was made with.
         folder.lay_out(to_toml(run_file))

@@ -1,0 +1,68 @@
+"""Why two that speak TLS, or should, did not come together: Zenoh says only that nobody answered."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+
+from athrl_protocol.address import split_address
+from athrl_protocol.certificates import Certificates
+from athrl_protocol.errors import ProtocolError
+
+# With TLS 1.3 the other side's refusal of a certificate comes after the handshake, if it comes.
+REFUSAL_SECONDS = 0.5
+
+
+def why_not_admitted(address: str, shown: Certificates | None, timeout: float) -> str | None:
+    """Return why a connection was refused for want of trust, or None if that is not the cause.
+
+    Args:
+        address: of somebody who accepts connections.
+        shown: this side's certificate; None if it has none.
+        timeout: seconds for the handshake.
+    """
+    host, port = split_address(address)
+    try:
+        with (
+            socket.create_connection((host, port), timeout=timeout) as plain,
+            _context(shown).wrap_socket(plain, server_hostname=host) as secure,
+        ):
+            if shown is None:
+                return "it asks for a certificate: name a folder with --certificates or ATHRL_CERTIFICATES"
+            secure.settimeout(REFUSAL_SECONDS)
+            secure.recv(1)
+    except ProtocolError as error:
+        return str(error)
+    except ssl.SSLError as error:
+        return _reason(error, shown)
+    except OSError:  # silence, or the connection was closed: no word about trust
+        return None
+    return None
+
+
+def _context(shown: Certificates | None) -> ssl.SSLContext:
+    if shown is not None:
+        return shown.context()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    return context
+
+
+def _reason(error: ssl.SSLError, shown: Certificates | None) -> str | None:
+    said = (error.reason or str(error)).lower().replace("_", " ")
+    if shown is None:
+        # Who does not speak TLS is not to blame for that here.
+        return None if _is_no_tls(said) else "it asks for a certificate: name a folder with --certificates"
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not good ({error.verify_message.rstrip('.')}) by {shown.authority}"
+    if _is_no_tls(said):
+        return "it speaks without encryption, and this service has certificates: give them to both or to none"
+    if "alert" in said or "certificate" in said:
+        said = said.replace("tlsv1 ", "").replace("tlsv13 ", "").replace("sslv3 ", "").replace("alert ", "")
+        return f"it refuses {shown.certificate} ({said})"
+    return None
+
+
+def _is_no_tls(said: str) -> bool:
+    return any(words in said for words in ("wrong version", "record layer", "unexpected eof", "http"))

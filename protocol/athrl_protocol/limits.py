@@ -1,0 +1,68 @@
+"""How large a message may be, so that nobody can fill the memory of a service with one.
+
+Zenoh drops what is larger before a service sees it: a client by `max_message_size`, the learner in addition
+by what the key is for. It does so in silence; `ChunkIntake` refuses a chunk that is too large for its run,
+and says so, well before that.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from athrl_protocol.chunk import MAXIMUM_LEVELS
+from athrl_protocol.keys import Keys
+from athrl_protocol.run_file import RunFile
+
+KIBIBYTE = 2**10
+MEBIBYTE = 2**20
+LARGEST_POLICY = 512 * MEBIBYTE
+"""What a client takes at most; a policy is the largest thing it is sent."""
+LARGEST_CHUNK = 80 * MEBIBYTE
+"""What the learner takes at most: 64 MiB of images that cannot be compressed, and columns."""
+LARGEST_NUMBERS = 256 * KIBIBYTE
+"""Metrics or scores of one service."""
+MOST_CHANNELS = 16
+"""Of an image, whatever the planner perceives; four today."""
+LARGEST_FRAME = 4 * MEBIBYTE
+LARGEST_QUESTION = 4 * KIBIBYTE
+"""A query that asks for a value; it has no content."""
+
+
+def largest_chunk_of(run_file: RunFile) -> int:
+    """Return bytes that no chunk of a run exceeds, with some to spare."""
+    pixels = (run_file.replay.sequence_length + 1) * run_file.environment.image_size**2
+    states = 4 * 2 * run_file.planner.recurrent_features * MAXIMUM_LEVELS
+    return min(LARGEST_CHUNK, pixels * MOST_CHANNELS + states + 256 * KIBIBYTE)
+
+
+def size_filter(run: str, largest_chunk: int) -> list[dict[str, Any]]:
+    """Return Zenoh's `low_pass_filter` for the learner of a run.
+
+    Args:
+        run: name of the run.
+        largest_chunk: bytes of a chunk's message; what is a little larger is let in, to be refused by name.
+    """
+    keys = Keys(run)
+    return [
+        _largest(
+            "experience", min(4 * largest_chunk, LARGEST_CHUNK), ["query", "put"], [keys.every_experience]
+        ),
+        _largest("numbers", LARGEST_NUMBERS, ["put", "reply"], [keys.every_metrics, keys.every_evaluation]),
+        _largest("frames", LARGEST_FRAME, ["put"], [keys.every_live]),
+        _largest(
+            "questions",
+            LARGEST_QUESTION,
+            ["query"],
+            ["athrl/*/run-file", keys.policy, keys.state, keys.every_evaluation],
+        ),
+    ]
+
+
+def _largest(name: str, limit: int, messages: list[str], keys: list[str]) -> dict[str, Any]:
+    return {
+        "id": name,
+        "flows": ["ingress"],
+        "messages": messages,
+        "key_exprs": keys,
+        "size_limit": limit,
+    }
