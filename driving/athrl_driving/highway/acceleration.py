@@ -13,6 +13,7 @@ from athrl_driving.compilation import announce_compilation
 from athrl_driving.highway import kernels
 from athrl_driving.highway.known import UnknownClassError
 from athrl_driving.highway.road import accelerate_road
+from athrl_driving.highway.standing_in import standing_in
 
 Environment = TypeVar("Environment", bound=gymnasium.Env)
 
@@ -35,8 +36,10 @@ def accelerate(env: Environment) -> Environment:
     return env
 
 
-class AcceleratedEnvironment(AbstractEnv):
+class AcceleratedEnvironment:
     """What makes an environment accelerate every road that it is given."""
+
+    __slots__ = ()
 
     @property
     def road(self) -> Road | None:
@@ -52,4 +55,4 @@ class AcceleratedEnvironment(AbstractEnv):
 
 @cache
 def _accelerated_class(plain: type[AbstractEnv]) -> type[AbstractEnv]:
-    return type(plain.__name__, (AcceleratedEnvironment, plain), {"__module__": plain.__module__})
+    return standing_in(plain, AcceleratedEnvironment)

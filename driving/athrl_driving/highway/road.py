@@ -16,15 +16,18 @@ from athrl_driving.highway.columns import FAILED_ROW, KIND, LANE, LENGTH, NONE
 from athrl_driving.highway.known import network_class, road_class
 from athrl_driving.highway.network import CompiledNetwork
 from athrl_driving.highway.rows import Row
+from athrl_driving.highway.standing_in import standing_in
 from athrl_driving.highway.table import Table
 
 
-class AcceleratedNetwork(RoadNetwork):
+class AcceleratedNetwork:
     """What makes a network find the closest lane with a kernel; its lanes are read when that is first needed."""
+
+    __slots__ = ()
 
     def add_lane(self, *arguments: Any, **settings: Any) -> None:
         """Add a lane, so that the lanes are read again."""
-        super().add_lane(*arguments, **settings)
+        type(self).plain.add_lane(self, *arguments, **settings)
         self.__dict__.pop("_compiled", None)
 
     @property
@@ -39,15 +42,16 @@ class AcceleratedNetwork(RoadNetwork):
     ) -> LaneIndex:
         """Return the index of the lane closest to a position (m) and, where given, a heading (rad)."""
         if heading is None:
-            return super().get_closest_lane_index(position)
+            return type(self).plain.get_closest_lane_index(self, position)
         network = self.compiled
         row = kernels.find_lane(network.arrays, float(position[0]), float(position[1]), float(heading))
         return network.indices[row]
 
 
-class AcceleratedRoad(Road):
+class AcceleratedRoad:
     """What makes a road run its vehicles as rows of arrays."""
 
+    __slots__ = ()
     _table: Table | None
 
     @property
@@ -103,8 +107,10 @@ class AcceleratedRoad(Road):
         )
 
 
-class AcceleratedRegulatedRoad(AcceleratedRoad, RegulatedRoad):
+class AcceleratedRegulatedRoad(AcceleratedRoad):
     """The same for a road with rules."""
+
+    __slots__ = ()
 
     def _regulation(self, dt: float) -> tuple[bool, float]:
         """Count the step; return whether the rules are due, and for how many rounds a vehicle yields."""
@@ -128,10 +134,9 @@ def accelerate_road(road: Road) -> None:
 
 @cache
 def _network_class(plain: type) -> type:
-    return type(plain.__name__, (AcceleratedNetwork, plain), {"__module__": plain.__module__})
+    return standing_in(plain, AcceleratedNetwork)
 
 
 @cache
 def _road_class(plain: type, regulated: bool) -> type:
-    base = AcceleratedRegulatedRoad if regulated else AcceleratedRoad
-    return type(plain.__name__, (base, plain), {"__module__": plain.__module__})
+    return standing_in(plain, AcceleratedRegulatedRoad if regulated else AcceleratedRoad)

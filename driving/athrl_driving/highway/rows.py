@@ -18,6 +18,7 @@ from highway_env.vehicle.objects import RoadObject
 
 from athrl_driving.highway import columns as column
 from athrl_driving.highway.columns import SCALAR_PARAMETERS, VECTOR_PARAMETERS
+from athrl_driving.highway.standing_in import standing_in
 
 if TYPE_CHECKING:
     from athrl_driving.highway.table import Table
@@ -277,19 +278,10 @@ _ROW_OF_KIND: dict[int, type[Row]] = {
 }
 
 
-_SETTERS = ("__setattr__", "__delattr__")
-
-
 @cache
 def row_class(plain: type[RoadObject], kind: int) -> RowType:
     """Return the class of rows that stands for a class of highway-env."""
-    body = {"plain": plain, "__module__": plain.__module__, "__qualname__": plain.__qualname__}
-    # A class can only be changed to one whose first base has the same layout, so the plain class is the first;
-    # what the rows' class has goes into the new class itself, to be found before it.
-    for cls in reversed(_ROW_OF_KIND[kind].__mro__[:-1]):
-        body.update((name, value) for name, value in vars(cls).items() if not hasattr(type, name))
-        body.update((name, vars(cls)[name]) for name in _SETTERS if name in vars(cls))
-    return RowType(plain.__name__, (plain, _ROW_OF_KIND[kind]), body)
+    return standing_in(plain, _ROW_OF_KIND[kind], RowType)
 
 
 @cache
