@@ -9,7 +9,8 @@ import numpy as np
 
 from athrl_protocol.athrl_pb2 import Frame, Point, Vehicle
 from athrl_protocol.errors import InvalidMessage
-from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.limits import LARGEST_FRAME
+from athrl_protocol.schema import check_numbers, check_text, decode_message, encode_message
 
 __all__ = ["Frame", "Point", "Scene", "Vehicle", "decode_frame", "encode_frame", "frame_of"]
 
@@ -103,9 +104,13 @@ def decode_frame(payload: bytes) -> Frame:
     """Return the frame in a message.
 
     Raises:
-        InvalidMessage: it is no frame of this schema, or its images do not have the size it says.
+        InvalidMessage: it is no frame of this schema, too large, cannot be shown, or its images do not have
+            the size it says.
     """
-    frame = decode_message(Frame, payload)
+    frame = decode_message(Frame, payload, largest=LARGEST_FRAME)
+    check_numbers("frame", frame.reward_terms)
+    for kind, text in (("driver", frame.driver), ("town", frame.town)):
+        check_text("frame", kind, text)
     pixels = frame.image_height * frame.image_width
     for name, image, channels in (("birdeye", frame.birdeye, 3), ("lidar", frame.lidar, 1)):
         if len(image) not in (0, pixels * channels):

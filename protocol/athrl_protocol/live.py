@@ -10,7 +10,8 @@ import zenoh
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.frame import Frame, decode_frame, encode_frame
-from athrl_protocol.keys import Keys
+from athrl_protocol.keys import Keys, role_and_name_of
+from athrl_protocol.refusals import Refusals
 from athrl_protocol.session import undeclare_quietly
 
 _log = logging.getLogger(__name__)
@@ -50,6 +51,7 @@ class FrameSubscription(Closing):
 
     def __init__(self, session: zenoh.Session, key: str, on_frame: Callable[[Frame], None]) -> None:
         self._on_frame = on_frame
+        self._refusals = Refusals("a frame", _log)
         self._subscriber = session.declare_subscriber(key, self._take)
 
     def close(self) -> None:
@@ -60,7 +62,7 @@ class FrameSubscription(Closing):
         try:
             frame = decode_frame(sample.payload.to_bytes())
         except InvalidMessage as error:
-            _log.warning("%s: %s", sample.key_expr, error)
+            self._refusals.add(role_and_name_of(str(sample.key_expr))[1], error)
             return
         self._on_frame(frame)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,8 +13,10 @@ import zenoh
 from athrl_protocol import athrl_pb2
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
-from athrl_protocol.keys import Keys
-from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.keys import Keys, role_and_name_of
+from athrl_protocol.limits import LARGEST_NUMBERS
+from athrl_protocol.refusals import Refusals
+from athrl_protocol.schema import check_numbers, check_text, decode_message, encode_message
 from athrl_protocol.session import undeclare_quietly
 
 _log = logging.getLogger(__name__)
@@ -67,6 +70,7 @@ class MetricsSubscriber(Closing):
 
     def __init__(self, session: zenoh.Session, run: str, on_metrics: Callable[[MetricsReport], None]) -> None:
         self._on_metrics = on_metrics
+        self._refusals = Refusals("a report of metrics", _log)
         self._subscriber = session.declare_subscriber(Keys(run).every_metrics, self._take)
 
     def close(self) -> None:
@@ -74,9 +78,28 @@ class MetricsSubscriber(Closing):
         undeclare_quietly(self._subscriber)
 
     def _take(self, sample: zenoh.Sample) -> None:
+        role, name = role_and_name_of(str(sample.key_expr))
         try:
-            message = decode_message(athrl_pb2.Metrics, sample.payload.to_bytes())
+            report = decode_metrics(sample.payload.to_bytes())
+            # The access list lets a role write under its own key, so the key says who it was.
+            if (report.role, report.name) != (role, name):
+                raise InvalidMessage("value", "metrics under the key of another service")
         except InvalidMessage as error:
-            _log.warning("%s: %s", sample.key_expr, error)
+            self._refusals.add(name, error)
             return
-        self._on_metrics(MetricsReport(message.role, message.name, message.time, dict(message.values)))
+        self._on_metrics(report)
+
+
+def decode_metrics(payload: bytes) -> MetricsReport:
+    """Return the report in a message.
+
+    Raises:
+        InvalidMessage: it is no such message, too large, or has names or a time that cannot be.
+    """
+    message = decode_message(athrl_pb2.Metrics, payload, largest=LARGEST_NUMBERS)
+    check_numbers("metrics", message.values)
+    for kind, text in (("role", message.role), ("name", message.name)):
+        check_text("metrics", kind, text)
+    if not math.isfinite(message.time):
+        raise InvalidMessage("value", f"metrics: time is {message.time}, should be unix seconds")
+    return MetricsReport(message.role, message.name, message.time, dict(message.values))

@@ -22,6 +22,7 @@ from athrl_protocol import athrl_pb2
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import new_incarnation
+from athrl_protocol.refusals import OTHERS, Refusals
 from athrl_protocol.schema import decode_message, encode_message
 from athrl_protocol.session import undeclare_quietly
 
@@ -96,6 +97,7 @@ class NewestSubscriber(Closing):
         self, session: zenoh.Session, key: str, on_value: Callable[[bytes], None] | None = None
     ) -> None:
         self._on_value = on_value
+        self._refusals = Refusals(f"a value under {key}", _log)
         self._changed = threading.Condition()
         self._editions: dict[str, Edition] = {}
         self._without_publisher: set[str] = set()
@@ -143,7 +145,7 @@ class NewestSubscriber(Closing):
         try:
             edition = _edition_of(sample)
         except InvalidMessage as error:
-            _log.warning("%s: %s", sample.key_expr, error)
+            self._refusals.add(OTHERS, error)
             return
         key = str(sample.key_expr)
         payload = sample.payload.to_bytes()

@@ -7,6 +7,7 @@ runtime, and two programs that were built from different schemas refuse each oth
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from typing import TypeVar
 
 from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
@@ -16,6 +17,9 @@ from athrl_protocol import athrl_pb2
 from athrl_protocol.errors import InvalidMessage
 
 _Message = TypeVar("_Message", bound=Message)
+
+LONGEST_NAME = 256
+MOST_NUMBERS = 2_000
 
 
 def _describe_field(field: FieldDescriptor) -> str:
@@ -57,14 +61,16 @@ def encode_message(message: Message) -> bytes:
     return message.SerializeToString()
 
 
-def decode_message(kind: type[_Message], payload: bytes) -> _Message:
-    """Parse `payload` as a message of `kind`.
+def decode_message(kind: type[_Message], payload: bytes, largest: int | None = None) -> _Message:
+    """Parse `payload`, which may have `largest` bytes, as a message of `kind`.
 
     Raises:
-        InvalidMessage: it cannot be parsed, or was written with another schema.
+        InvalidMessage: it is too large, cannot be parsed, or was written with another schema.
     """
     message = kind()
     name = kind.DESCRIPTOR.name
+    if largest is not None and len(payload) > largest:
+        raise InvalidMessage("size", f"{name}: {len(payload)} bytes, at most {largest}")
     try:
         message.ParseFromString(payload)
     except DecodeError:
@@ -78,3 +84,17 @@ def decode_message(kind: type[_Message], payload: bytes) -> _Message:
             f"({SCHEMA_HASH:016x}); all services of a run must be of one release",
         )
     return message
+
+
+def check_text(kind: str, field: str, text: str, longest: int = LONGEST_NAME) -> None:
+    """Raise InvalidMessage unless `text` can be shown as it is: printable, and of bearable length."""
+    if len(text) > longest or not text.isprintable():
+        raise InvalidMessage("value", f"{kind}: {field} is no text of at most {longest} characters")
+
+
+def check_numbers(kind: str, values: Mapping[str, float]) -> None:
+    """Raise InvalidMessage unless there are not too many values and each name can be shown."""
+    if len(values) > MOST_NUMBERS:
+        raise InvalidMessage("size", f"{kind}: {len(values)} values, at most {MOST_NUMBERS}")
+    for name in values:
+        check_text(kind, "a name", name)

@@ -11,7 +11,8 @@ from athrl_protocol import athrl_pb2
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
 from athrl_protocol.closing import Closing
 from athrl_protocol.keys import Keys
-from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.limits import LARGEST_NUMBERS
+from athrl_protocol.schema import check_numbers, check_text, decode_message, encode_message
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,10 @@ def _encode(result: EvaluationResult) -> bytes:
 
 
 def _decode(payload: bytes) -> EvaluationResult:
-    message = decode_message(athrl_pb2.Evaluation, payload)
+    message = decode_message(athrl_pb2.Evaluation, payload, largest=LARGEST_NUMBERS)
+    check_numbers("evaluation", message.scores)
+    for kind, text in (("driver", message.driver), ("town", message.town)):
+        check_text("evaluation", kind, text)
     return EvaluationResult(
         driver=message.driver,
         policy_version=message.policy_version,

@@ -13,6 +13,7 @@ from athrl_protocol import athrl_pb2
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
+from athrl_protocol.limits import LARGEST_POLICY
 from athrl_protocol.schema import decode_message, encode_message
 
 
@@ -55,7 +56,7 @@ def _encode(update: PolicyUpdate) -> bytes:
 
 
 def _decode(payload: bytes) -> PolicyUpdate:
-    message = decode_message(athrl_pb2.Policy, payload)
+    message = decode_message(athrl_pb2.Policy, payload, largest=LARGEST_POLICY)
     if hashlib.sha256(message.artefact).digest() != message.sha256:
         raise InvalidMessage("checksum", f"policy {message.version}: its artefact arrived damaged")
     if not (math.isfinite(message.noise_scale) and message.noise_scale >= 0):

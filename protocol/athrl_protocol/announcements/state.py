@@ -12,7 +12,8 @@ from athrl_protocol import athrl_pb2
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
-from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.limits import LARGEST_NUMBERS
+from athrl_protocol.schema import check_text, decode_message, encode_message
 
 
 class Phase(Enum):
@@ -59,7 +60,8 @@ def _encode(state: RunState) -> bytes:
 
 
 def _decode(payload: bytes) -> RunState:
-    message = decode_message(athrl_pb2.RunState, payload)
+    message = decode_message(athrl_pb2.RunState, payload, largest=LARGEST_NUMBERS)
+    check_text("run state", "waiting", message.waiting, longest=2_000)
     try:
         phase = Phase(message.phase)
     except ValueError:

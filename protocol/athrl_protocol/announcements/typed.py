@@ -12,6 +12,7 @@ import zenoh
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.newest import NewestPublisher, NewestSubscriber
+from athrl_protocol.refusals import OTHERS, Refusals
 
 _log = logging.getLogger(__name__)
 _Value = TypeVar("_Value")
@@ -50,7 +51,7 @@ class TypedSubscriber(Generic[_Value], Closing):
         decode: Callable[[bytes], _Value],
         on_value: Callable[[_Value], None] | None = None,
     ) -> None:
-        self._key = key
+        self._refusals = Refusals(f"a value under {key}", _log)
         self._decode = decode
         self._on_value = on_value
         self._changed = threading.Condition()
@@ -80,7 +81,7 @@ class TypedSubscriber(Generic[_Value], Closing):
         try:
             value = self._decode(payload)
         except InvalidMessage as error:
-            _log.warning("%s: %s", self._key, error)
+            self._refusals.add(OTHERS, error)
             return
         with self._changed:
             self._newest = value
