@@ -16,6 +16,7 @@ from athrl_driving.maps.stretches import Way
 STRAIGHT_WITHIN = math.radians(35.0)
 """A way that turns by less leads straight on."""
 
+_RAMP_WITHIN = math.radians(45.0)
 _RING_RADIUS = 80.0
 _RING_STRAIGHT = 5.0
 """Metres: longer straight pieces are no part of a roundabout."""
@@ -108,7 +109,7 @@ def _is_ramp(way: Way, main: Way) -> bool:
     if way.origin.strip.road is main.origin.strip.road:
         return False
     angles = (_angle(way), _angle(main))
-    if max(angles) > STRAIGHT_WITHIN:
+    if max(angles) > _RAMP_WITHIN:
         return False
     return _rank(way) < _rank(main)
 

@@ -94,23 +94,35 @@ def _bypass(piece: LanePiece, predecessors: dict[LanePiece, list[LanePiece]]) ->
 
 def make_junctions_of_forks(strips: list[Strip]) -> None:
     """Turn the road around forks and merges of ordinary lanes into ways through a junction."""
-    predecessors = predecessors_of(all_pieces(strips))
-    for strip in list(strips):
-        for piece in list(strip.lanes):
-            if piece.junction:
-                continue
-            name = f"road {strip.road.id} at {strip.start:.0f} m"
-            if len(piece.successors) > 1:
-                for after in piece.successors:
-                    if not after.junction:
-                        _split(strips, after.strip, min(FORK_LENGTH, 0.5 * after.length), after)[
-                            0
-                        ].junction = name
-            if len(predecessors[piece]) > 1:
-                for before in predecessors[piece]:
-                    if not before.junction:
-                        length = before.length - min(FORK_LENGTH, 0.5 * before.length)
-                        _split(strips, before.strip, length, before)[1].junction = name
+    while True:
+        pieces = all_pieces(strips)
+        predecessors = predecessors_of(pieces)
+        forks = (
+            (piece, after) for piece in pieces if len(piece.successors) > 1 for after in piece.successors
+        )
+        fork = next(((a, b) for a, b in forks if not (a.junction or b.junction)), None)
+        if fork is not None:
+            before, after = fork
+            first, _ = _split(strips, after.strip, min(FORK_LENGTH, 0.5 * after.length), after)
+            first.junction = _place(before)
+            continue
+        merges = (
+            (before, piece)
+            for piece in pieces
+            if len(predecessors[piece]) > 1
+            for before in predecessors[piece]
+        )
+        merge = next(((a, b) for a, b in merges if not (a.junction or b.junction)), None)
+        if merge is None:
+            return
+        before, after = merge
+        length = before.length - min(FORK_LENGTH, 0.5 * before.length)
+        _, last = _split(strips, before.strip, length, before)
+        last.junction = _place(after)
+
+
+def _place(piece: LanePiece) -> str:
+    return f"road {piece.strip.road.id} at {piece.strip.start:.0f} m"
 
 
 def _split(strips: list[Strip], strip: Strip, length: float, along: LanePiece) -> tuple[LanePiece, LanePiece]:
