@@ -55,7 +55,8 @@ def _lane_pairs(arm: Arm, target: Arm) -> list[tuple[int, int]]:
         return [(0, 0)]
     if change < -_STRAIGHT_WITHIN:
         return [(entering - 1, leaving - 1)]
-    return [(min(lane, entering - 1), min(lane, leaving - 1)) for lane in range(max(entering, leaving))]
+    # Where fewer lanes leave, the others only turn: no two lanes merge within a junction.
+    return [(min(lane, entering - 1), lane) for lane in range(leaving)]
 
 
 def _add_signals(plan: TownPlan, junction: JunctionPlan, arms: list[Arm]) -> None:

@@ -13,6 +13,9 @@ _SIDEWALK = 2.0
 _LEAST_STRAIGHT = 1.0
 """Metres of a road that have to be straight before its stop line."""
 
+_LEAST_ANGLE = math.radians(30.0)
+_TURN_BELOW = math.radians(160.0)
+
 Place = Node | Roundabout | RampEnd
 
 
@@ -33,8 +36,6 @@ def lay_town(town: Town) -> TownPlan:
     for name, place in places.items():
         if isinstance(place, RampEnd):
             continue
-        if len(arms[name]) < 3:
-            raise ValueError(f"node {name}: {len(arms[name])} roads meet there, a junction needs at least 3")
         if isinstance(place, Roundabout):
             lay_roundabout(plan, place, arms[name])
         else:
@@ -59,27 +60,34 @@ def _setbacks(town: Town, lines: dict[Road, list[Piece]]) -> dict[str, float]:
     """Return how far from each node's centre (m) its roads end."""
     result: dict[str, float] = {}
     for node in town.nodes:
-        if isinstance(node, Roundabout):
-            result[node.name] = node.radius + ARM_REACH
-            continue
-        directions = []
+        arms = []
         for road, line in lines.items():
             half_width = (sum(road.lanes) - 1) * town.lane_width / 2.0
             if road.start == node.name:
-                directions.append((wrap(line[0].start.heading), half_width))
+                arms.append((wrap(line[0].start.heading), half_width))
             if road.end == node.name:
-                directions.append((wrap(line[-1].end.heading + math.pi), half_width))
-        directions.sort()
-        # Two neighbouring arms have room for a right turn where their outer lanes' lines meet, and before.
-        result[node.name] = max(
-            (
-                (max(first[1], second[1]) + TURN_RADIUS) / math.tan(angle / 2.0)
-                for first, second in zip(directions, directions[1:] + directions[:1], strict=True)
-                if (angle := (second[0] - first[0]) % (2.0 * math.pi)) < math.radians(160.0)
-            ),
-            default=TURN_RADIUS,
-        )
+                arms.append((wrap(line[-1].end.heading + math.pi), half_width))
+        if len(arms) < 3:
+            raise ValueError(f"node {node.name}: {len(arms)} roads meet there, a junction needs at least 3")
+        if isinstance(node, Roundabout):
+            result[node.name] = node.radius + ARM_REACH
+        else:
+            result[node.name] = _junction_room(node.name, arms)
     return result
+
+
+def _junction_room(name: str, arms: list[tuple[float, float]]) -> float:
+    """Return the metres that right turns need between arms, given as direction and half width."""
+    room = TURN_RADIUS
+    arms = sorted(arms)
+    for first, second in zip(arms, arms[1:] + arms[:1], strict=True):
+        angle = (second[0] - first[0]) % (2.0 * math.pi)
+        if angle < _LEAST_ANGLE:
+            raise ValueError(f"node {name}: two roads are only {math.degrees(angle):.0f} degrees apart")
+        if angle < _TURN_BELOW:
+            # The outer lanes' lines meet there; the turn's tangent begins before.
+            room = max(room, (max(first[1], second[1]) + TURN_RADIUS) / math.tan(angle / 2.0))
+    return room
 
 
 def _lay_road(

@@ -114,6 +114,40 @@ def read(path: Path) -> Drawing:
     return Drawing(lanes, signals, root)
 
 
+def links(drawing: Drawing) -> list[tuple[Lane, Lane]]:
+    """Return the pairs of driving lanes of which the second follows the first, as the file links them."""
+    lanes = {(lane.road, lane.section, lane.number): lane for lane in drawing.lanes if lane.kind == "driving"}
+    roads = {road.attrib["id"]: road for road in drawing.root.iterfind("road")}
+    result = []
+    for lane in lanes.values():
+        number, side = lane.number, "predecessor" if lane.number > 0 else "successor"
+        section = roads[lane.road].findall("lanes/laneSection")[lane.section]
+        following = lane.section + (1 if number < 0 else -1)
+        for link in section.iterfind(f".//lane[@id='{number}']/link/{side}"):
+            if (lane.road, following, int(link.attrib["id"])) in lanes:
+                result.append((lane, lanes[lane.road, following, int(link.attrib["id"])]))
+    for connection in drawing.root.iterfind("junction/connection"):
+        incoming, road = connection.attrib["incomingRoad"], roads[connection.attrib["connectingRoad"]]
+        before, after = road.find("link/predecessor"), road.find("link/successor")
+        if before is None or after is None or before.get("elementId") != incoming:
+            raise ValueError(f"connecting road {road.get('id')} is not linked to road {incoming}")
+        for link in connection.iterfind("laneLink"):
+            inside = lanes[road.attrib["id"], 0, int(link.attrib["to"])]
+            inner = road.find(f".//lane[@id='{inside.number}']/link/successor")
+            if inner is None:
+                raise ValueError(f"connecting road {road.get('id')} has a lane without a successor")
+            result.append((lanes[_end(roads, before, int(link.attrib["from"]))], inside))
+            result.append((inside, lanes[_end(roads, after, int(inner.attrib["id"]))]))
+    return result
+
+
+def _end(roads: dict[str, Element], link: Element, number: int) -> tuple[str, int, int]:
+    """Return road, section and number of the lane that a connecting road is linked to."""
+    road = link.attrib["elementId"]
+    sections = len(roads[road].findall("lanes/laneSection"))
+    return road, sections - 1 if link.get("contactPoint") == "end" else 0, number
+
+
 def _lanes(road: Element, line: ReferenceLine) -> list[Lane]:
     result = []
     sections = road.findall("lanes/laneSection")

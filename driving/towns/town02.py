@@ -1,12 +1,12 @@
 """town02: eight T-junctions, close together, on streets with one wide lane a direction.
 
-   .-------- kiosk ------.
-   |           |         |
-west 2 --- a --- b ---- east 2
-   |       |             |
-west 1 --- c --------- east 1
-   |                     |
-   '---------------------'
+  .------------------ kiosk -----.
+  |                     |        |
+bakery -- fountain -- library -- cinema
+  |          |                   |
+pharmacy -- bank ------------ post office
+  |                              |
+  '------------------------------'
 """
 
 from towns.description import Bend, Node, Road, Town

@@ -32,10 +32,10 @@ TOWN03 = Town(
         Node("harbour", -315.0, -110.0),
     ),
     roads=(
-        Road("star", "circle", lanes=(2, 2), mph=40, major=True, name="Circle Road West"),
+        Road("star", "circle", lanes=(2, 2), mph=40, name="Circle Road West"),
         Road("circle", "market", lanes=(2, 2), mph=40, major=True, name="Circle Road East"),
-        Road("circle", "chapel", lanes=(2, 2), mph=40, major=True, name="Circle Road North"),
-        Road("circle", "school", lanes=(2, 2), mph=40, major=True, name="Circle Road South"),
+        Road("circle", "chapel", lanes=(2, 2), mph=40, name="Circle Road North"),
+        Road("circle", "school", lanes=(2, 2), mph=40, name="Circle Road South"),
         Road("market", "east gate", lanes=(2, 2), mph=50, major=True, name="Market Road"),
         Road("chapel", "north gate", name="Chapel Hill"),
         Road("school", "south gate", name="School Lane"),

@@ -15,7 +15,7 @@ _CORNERS = ("a1", "a5", "e1", "e5")
 _SIGNALS = ("c3",)
 
 _EAST, _NORTH, _MEDIAN, _RADIUS = 425.0, 423.0, 4.0, 160.0
-_GATE, _TERMINAL = 478.0, 376.0
+_GATE, _TERMINAL = 488.0, 376.0
 _HEIGHT, _DECK, _SLOPE = 6.5, 30.0, 140.0
 
 
@@ -66,10 +66,10 @@ def _ramp(start: str, end: str, x: float, y: float, radius: float = 60.0) -> Roa
 
 
 _RAMPS = (
-    _ramp("to west gate", "west gate", -_GATE, 50.0),
-    _ramp("west gate", "from west gate", -_GATE, -50.0),
-    _ramp("to east gate", "east gate", _GATE, -50.0),
-    _ramp("east gate", "from east gate", _GATE, 50.0),
+    _ramp("to west gate", "west gate", -_GATE, 30.0),
+    _ramp("west gate", "from west gate", -_GATE, -30.0),
+    _ramp("to east gate", "east gate", _GATE, -30.0),
+    _ramp("east gate", "from east gate", _GATE, 30.0),
     _ramp("to west terminal", "west terminal", -_TERMINAL, -50.0),
     _ramp("west terminal", "from west terminal", -_TERMINAL, 50.0),
     _ramp("to east terminal", "east terminal", _TERMINAL, 50.0),
