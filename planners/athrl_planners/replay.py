@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -89,25 +89,52 @@ class SequenceReplay:
         )
 
     def state(self) -> dict[str, Any]:
-        """Everything that a restored replay needs: arrays (copies of the filled part) and ints."""
+        """What a restored replay needs beside its sequences, JSON-able: counts and the generator's state."""
         with self._lock:
-            filled = {name: column[: self.sequences].copy() for name, column in self._columns.items()}
-            return {"inserted": self._inserted, "random": self._random_words(), **filled}
+            return {
+                "inserted": self._inserted,
+                "sequences": self.sequences,
+                "random": self._random_words(),
+            }
 
-    def load_state(self, state: Mapping[str, Any]) -> None:
-        """Become what `state` was taken from; raises ValueError if its columns do not fit this replay."""
-        inserted = int(state["inserted"])
-        filled = min(inserted, self.slots)
-        stored = {name: np.asarray(state[name]) for name in self._layout if inserted}
-        for name, value in stored.items():
-            _check(name, value, (filled, *self._layout[name][0]), self._layout[name][1])
+    def load_state(self, state: Mapping[str, Any], sequences: Iterable[Sequence]) -> int:
+        """Become what `state` was taken from.
+
+        With all the sequences that were stored then, and the same capacity, every one comes to its old slot
+        and the next samples are the same. With fewer of them (some were damaged), or another capacity, the
+        newest that there are fill the replay from its first slot on.
+
+        Args:
+            state: what `state()` returned, perhaps by way of JSON.
+            sequences: what was stored, oldest first.
+
+        Returns:
+            How many sequences there were.
+
+        Raises:
+            KeyError, TypeError, ValueError: `state` or a sequence does not fit; the replay is not usable.
+        """
+        inserted, expected = int(state["inserted"]), int(state["sequences"])
+        if not 0 <= expected <= inserted:
+            raise ValueError(f"the state has {expected} sequences of {inserted} inserted")
         with self._lock:
-            self._allocate()
-            for name, value in stored.items():
-                self._columns[name][:filled] = value
-            self._inserted = inserted
-            self._transitions = int(self._columns["length"][:filled].sum())
-            self._restore_random(np.asarray(state["random"]))
+            self._columns, self._transitions = {}, 0
+            self._inserted = inserted - expected
+            self._restore_random(state["random"])
+        begin = self._inserted
+        for sequence in sequences:
+            self.insert(sequence)
+        found = self._inserted - begin
+        with self._lock:
+            if found < self.sequences:
+                self._begin_at_the_first_slot(begin, found)
+        return found
+
+    def _begin_at_the_first_slot(self, begin: int, found: int) -> None:
+        """Move fewer sequences than slots, the first of them at `begin`, so that none before is empty."""
+        for name, column in self._columns.items():
+            self._columns[name] = np.roll(column, -(begin % self.slots), axis=0)
+        self._inserted = found
 
     def _allocate(self) -> None:
         if not self._columns:
@@ -133,15 +160,17 @@ class SequenceReplay:
             _check(name, value, *self._layout[name])
         return row
 
-    def _random_words(self) -> np.ndarray:
-        """The generator's state as uint64 [6], since its integers of 128 bits fit no array."""
+    def _random_words(self) -> list[int]:
+        """The generator's state as integers below 2^64, since not every JSON reader takes 128 bits."""
         state = self._random.bit_generator.state
         value, increment = state["state"]["state"], state["state"]["inc"]
         words = [*divmod(value, _WORD), *divmod(increment, _WORD), state["has_uint32"], state["uinteger"]]
-        return np.array(words, np.uint64)
+        return [int(word) for word in words]
 
-    def _restore_random(self, words: np.ndarray) -> None:
+    def _restore_random(self, words: list[int]) -> None:
         numbers = [int(word) for word in words]
+        if len(numbers) != 6:
+            raise ValueError(f"the generator's state has {len(numbers)} numbers; it should have 6")
         self._random.bit_generator.state = {
             "bit_generator": "PCG64",
             "state": {"state": numbers[0] * _WORD + numbers[1], "inc": numbers[2] * _WORD + numbers[3]},

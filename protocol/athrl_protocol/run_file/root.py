@@ -9,6 +9,7 @@ from pydantic import ValidationError, model_validator
 from athrl_protocol.errors import RunFileError
 from athrl_protocol.run_file.sections import (
     ActorSection,
+    DurabilitySection,
     EnvironmentSection,
     EvaluatorSection,
     ExplorationSection,
@@ -30,6 +31,7 @@ class RunFile(Section):
     exploration: ExplorationSection = ExplorationSection()
     replay: ReplaySection = ReplaySection()
     learner: LearnerSection = LearnerSection()
+    durability: DurabilitySection = DurabilitySection()
     actor: ActorSection = ActorSection()
     evaluator: EvaluatorSection = EvaluatorSection()
     network: NetworkSection = NetworkSection()

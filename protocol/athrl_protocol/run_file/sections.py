@@ -172,8 +172,34 @@ class LearnerSection(Section):
     publish_seconds: float = Field(default=2.0, gt=0, description="Seconds between published policies.")
     checkpoint_seconds: float = Field(default=120.0, gt=0, description="Seconds between checkpoints.")
     checkpoints_kept: int = Field(default=3, ge=1, description="Newest checkpoints that are kept.")
+    deadlock_seconds: float = Field(
+        default=60.0,
+        gt=0,
+        description="Seconds that actors and learner may wait for each other before the run ends in an error.",
+    )
     threads: int = Field(default=1, ge=1, le=256, description="Threads that train.")
     device: Literal["cpu", "cuda"] = Field(default="cpu", description="Where training happens.")
+
+
+class DurabilitySection(Section):
+    """The log of experience, which keeps what was acknowledged."""
+
+    fsync: Literal["never", "acknowledgement", "interval"] = Field(
+        default="interval",
+        description="When the log is brought to the disk, which only a power cut makes matter: never, before "
+        "each acknowledgement, or at an interval.",
+    )
+    fsync_seconds: float = Field(
+        default=1.0, gt=0, description="The interval: what a power cut may cost, seconds."
+    )
+    segment_mebibytes: float = Field(
+        default=32.0, gt=0, le=1024, description="Size of a file of the log, after which the next one begins."
+    )
+    reserve_mebibytes: float = Field(
+        default=256.0,
+        ge=0,
+        description="Room on the disk that is left for checkpoints; with less, experience has to wait.",
+    )
 
 
 class ActorSection(Section):

@@ -7,8 +7,10 @@ import threading
 import time
 from pathlib import Path
 
-from athrl_learner.checkpoint import CheckpointContent, write_checkpoint
-from athrl_learner.errors import CheckpointFailed
+from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent, remove_unneeded, write_checkpoint
+from athrl_learner.errors import CheckpointFailed, LogFailed
+from athrl_learner.files import Files
+from athrl_learner.segments import SegmentLog, needed_segments
 
 log = logging.getLogger(__name__)
 
@@ -19,12 +21,24 @@ LONGEST_WRITE = 120.0
 class Checkpointer:
     """Writes checkpoints one at a time; a regular one that fails is a warning, the last one an error."""
 
-    def __init__(self, folder: Path, seconds: float, kept: int) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        experience: SegmentLog,
+        best: BestCheckpoint,
+        *,
+        seconds: float,
+        kept: int,
+        files: Files | None = None,
+    ) -> None:
         self.written = 0
         self.failed = 0
         self._folder = folder
+        self._experience = experience
+        self._best = best
         self._seconds = seconds
         self._kept = kept
+        self._files = files or Files()
         self._due_at = time.monotonic() + seconds
         self._writer: threading.Thread | None = None
 
@@ -63,7 +77,22 @@ class Checkpointer:
 
     def _write(self, content: CheckpointContent) -> Path:
         began = time.monotonic()
-        path = write_checkpoint(self._folder, content, self._kept)
+        try:
+            self._experience.sync()  # the segments first: a manifest never names what the disk does not have
+        except LogFailed as error:
+            raise CheckpointFailed(str(error)) from None
+        path = write_checkpoint(self._folder, content, self._files)
         self.written += 1
         log.info("checkpoint %s written in %.1f s", path, time.monotonic() - began)
+        self._clear_away()
         return path
+
+    def _clear_away(self) -> None:
+        """Remove what no kept checkpoint needs; what cannot be removed costs only room."""
+        try:
+            kept = remove_unneeded(self._folder, self._kept, self._best, self._files)
+        except OSError as error:
+            log.warning("cannot clear %s of old checkpoints: %s", self._folder, error.strerror)
+            return
+        needed = needed_segments(kept.newest, kept.others)
+        self._experience.keep_only(needed.oldest, needed.named)

@@ -23,3 +23,15 @@ class CheckpointFailed(LearnerError):  # noqa: N818
 
 class DamagedCheckpoint(LearnerError):  # noqa: N818
     """A checkpoint is not what its manifest says; the message names the file."""
+
+
+class DiskFull(LearnerError):  # noqa: N818
+    """There is no room to write down what would be acknowledged; it is tried again."""
+
+
+class LogFailed(LearnerError):  # noqa: N818
+    """The log of experience cannot be written, so nothing may be acknowledged any more."""
+
+
+class Deadlock(LearnerError):  # noqa: N818
+    """Actors and learner wait for each other, which the limiter rules out."""

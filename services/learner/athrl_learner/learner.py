@@ -9,6 +9,7 @@ import time
 from athrl_protocol import Phase, RunFile
 
 from athrl_learner.checkpoint import CheckpointContent
+from athrl_learner.errors import Deadlock
 from athrl_learner.parts import Parts
 from athrl_learner.snapshot import take_snapshot
 
@@ -34,10 +35,16 @@ class Learner:
 
         Raises:
             CheckpointFailed: the last checkpoint could not be written.
+            Deadlock: actors and learner wait for each other; a checkpoint has been written.
+            LogFailed: the disk does not take what would be acknowledged.
         """
         self._publish()
         self._parts.reporter.report()
-        self._train(stop)
+        try:
+            self._train(stop)
+        except Deadlock:
+            self._drain()
+            raise
         if self._parts.store.exhausted(self._batch):
             self._finish()
             self._linger(stop, evaluator_deadline)
@@ -57,6 +64,7 @@ class Learner:
                 self._publish()
             if parts.checkpointer.due:
                 parts.checkpointer.write_in_background(self._snapshot())
+            parts.store.require_progress(self._run_file.learner.deadlock_seconds)
             parts.reporter.report_if_due()
 
     def _finish(self) -> None:
@@ -104,5 +112,10 @@ class Learner:
     def _snapshot(self) -> CheckpointContent:
         parts = self._parts
         return take_snapshot(
-            self._run_file, parts.agent, parts.store, parts.intake, parts.publication.version
+            self._run_file,
+            parts.agent,
+            parts.store,
+            parts.intake,
+            parts.publication.version,
+            parts.damaged,
         )

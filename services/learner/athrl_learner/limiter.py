@@ -104,7 +104,7 @@ class SamplesPerInsert:
         if not self.warmed_up:
             return f"the learner waits for the warm-up: {self.inserts} of {self.minimum_inserts} transitions"
         if not may_sample:
-            return f"the learner waits for the actors: {self.ratio_text()}"
+            return f"the learner waits for data: {self.ratio_text()}"
         if not may_insert:
             return f"the actors wait for the learner: {self.ratio_text()}"
         return ""

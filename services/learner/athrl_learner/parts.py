@@ -10,6 +10,8 @@ import zenoh
 from athrl_planners import AtHRL, PolicyExporter
 from athrl_protocol import (
     ChunkIntake,
+    EvaluationResult,
+    EvaluationSubscriber,
     MetricsPublisher,
     PolicyPublisher,
     PresenceWatcher,
@@ -20,12 +22,13 @@ from athrl_protocol.limits import largest_chunk_of
 
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
-from athrl_learner.checkpoint import CheckpointContent
+from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent
 from athrl_learner.checkpointing import Checkpointer
 from athrl_learner.publication import Publication, recorded_version
 from athrl_learner.reporting import Reporter
 from athrl_learner.run_folder import RunFolder
-from athrl_learner.snapshot import restore_snapshot, saved_ledger, saved_version
+from athrl_learner.segments import IntervalSync, SegmentLog
+from athrl_learner.snapshot import restore_snapshot, saved_version
 from athrl_learner.store import ExperienceStore
 from athrl_learner.training import Trainer
 
@@ -47,9 +50,12 @@ class Parts:
     checkpointer: Checkpointer
     reporter: Reporter
     presence: PresenceWatcher
+    damaged: int  # records of the log that could not be read, in the run so far
 
 
-def make_experience(run_file: RunFile, agent: AtHRL, arrivals: Arrivals) -> ExperienceStore:
+def make_experience(
+    run_file: RunFile, agent: AtHRL, arrivals: Arrivals, experience: SegmentLog
+) -> ExperienceStore:
     """Replay, limiter and the check of chunks; says how much memory the replay will take."""
     replay = translation.make_replay(run_file, agent)
     log.info("the replay of %d transitions takes %.2f GiB", run_file.replay.capacity, replay.bytes / 2**30)
@@ -59,6 +65,40 @@ def make_experience(run_file: RunFile, agent: AtHRL, arrivals: Arrivals) -> Expe
         translation.make_limiter(run_file),
         arrivals,
         run_file.run.environment_steps,
+        experience,
+    )
+
+
+def make_log(stack: contextlib.ExitStack, run_file: RunFile, folder: RunFolder) -> SegmentLog:
+    """The log of experience, which goes to the disk at an interval where the run file wants that."""
+    experience = translation.make_log(run_file, folder.experience)
+    stack.callback(experience.close)
+    if run_file.durability.fsync == "interval":
+        stack.enter_context(IntervalSync(experience, run_file.durability.fsync_seconds))
+    return experience
+
+
+def make_checkpointer(
+    stack: contextlib.ExitStack,
+    session: zenoh.Session,
+    run_file: RunFile,
+    folder: RunFolder,
+    experience: SegmentLog,
+) -> Checkpointer:
+    """The checkpointer, which hears the evaluators' scores of the policy."""
+    best = BestCheckpoint(folder.checkpoints)
+
+    def heard(result: EvaluationResult) -> None:
+        if result.driver == "policy" and "return_mean" in result.scores:
+            best.heard(result.policy_version, result.scores["return_mean"])
+
+    stack.enter_context(EvaluationSubscriber(session, run_file.run.name, heard))
+    return Checkpointer(
+        folder.checkpoints,
+        experience,
+        best,
+        seconds=run_file.learner.checkpoint_seconds,
+        kept=run_file.learner.checkpoints_kept,
     )
 
 
@@ -87,23 +127,22 @@ def make_parts(
     """Make all parts; those that hold something of the session are closed by `stack`.
 
     Raises:
-        CannotResume: `content` does not fit the run file.
+        CannotResume: `content` or the log does not fit the run file.
     """
     run, arrivals = run_file.run.name, Arrivals()
     agent = translation.make_agent(run_file)
-    store = make_experience(run_file, agent, arrivals)
-    if content is not None:
-        restore_snapshot(content, agent, store)
+    experience = make_log(stack, run_file, folder)
+    store = make_experience(run_file, agent, arrivals, experience)
+    restored = restore_snapshot(content, agent, store)
     publisher = stack.enter_context(PolicyPublisher(session, run))
     publication = make_publication(run_file, agent, folder, publisher, arrivals)
     publication.version = max(
         recorded_version(folder.latest_policy_facts), saved_version(content) if content is not None else -1
     )
-    ledger = saved_ledger(content) if content is not None else None
-    intake = stack.enter_context(ChunkIntake(session, run, store.accept, ledger, largest_chunk_of(run_file)))
+    chunks = ChunkIntake(session, run, store, restored.ledger, largest_chunk_of(run_file))
+    intake = stack.enter_context(chunks)
     presence = stack.enter_context(PresenceWatcher(session, run))
-    learner = run_file.learner
-    checkpointer = Checkpointer(folder.checkpoints, learner.checkpoint_seconds, learner.checkpoints_kept)
+    checkpointer = make_checkpointer(stack, session, run_file, folder, experience)
     trainer = Trainer(agent)
     reporter = Reporter(
         stack.enter_context(StatePublisher(session, run)),
@@ -115,5 +154,9 @@ def make_parts(
         checkpointer=checkpointer,
         intake=intake,
         presence=presence,
+        recovered=restored.recovered,
+        damaged=restored.damaged,
     )
-    return Parts(agent, trainer, store, intake, publication, checkpointer, reporter, presence)
+    return Parts(
+        agent, trainer, store, intake, publication, checkpointer, reporter, presence, restored.damaged
+    )

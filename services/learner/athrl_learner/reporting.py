@@ -7,7 +7,8 @@
 | `update_seconds` | seconds spent in updates since the last report |
 | `replay_transitions`, `replay_fill` | transitions in the replay, and the share of its places taken |
 | `samples_per_insert` | how often a transition was drawn, on average, since the warm-up |
-| `waiting/learner`, `waiting/actors` | share of the time that one waited for the other |
+| `waiting/learner`, `waiting/actors` | share of the time between two reports that one waited for the other |
+| `waiting/disk` | 1 while intake is paused because the disk is full |
 | `policy_version`, `noise_scale` | the newest policy, and the factor on exploration noise |
 | `policy_lag`, `policy_lag/NAME` | versions by which the actor's last chunk was behind; worst first |
 | `transitions/NAME` | accepted from that actor since this learner started |
@@ -15,6 +16,9 @@
 | `intake/...` | chunks by what became of them, see `IntakeStatistics` |
 | `loss/LEVEL/...` | means of what the updates since the last report said |
 | `checkpoints_written`, `checkpoints_failed` | since this learner started |
+| `log/bytes` | size of the log of experience |
+| `log/recovered` | chunks that this learner took in from the log when it started, beyond the checkpoint |
+| `log/damaged` | records of the log that could not be read, in the run |
 """
 
 from __future__ import annotations
@@ -29,7 +33,6 @@ from athrl_learner.checkpointing import Checkpointer
 from athrl_learner.publication import Publication
 from athrl_learner.store import ExperienceStore
 from athrl_learner.training import Trainer
-from athrl_learner.waiting import waiting_text
 
 #: Seconds between two reports.
 INTERVAL = 1.0
@@ -50,6 +53,8 @@ class Reporter:
         checkpointer: Checkpointer,
         intake: ChunkIntake,
         presence: PresenceWatcher,
+        recovered: int,
+        damaged: int,
     ) -> None:
         self._state_publisher = state_publisher
         self._metrics_publisher = metrics_publisher
@@ -60,6 +65,8 @@ class Reporter:
         self._checkpointer = checkpointer
         self._intake = intake
         self._presence = presence
+        self._recovered = recovered
+        self._damaged = damaged
         self._reported_at = time.monotonic()
         self._reported_steps = store.environment_steps
         self._reported_updates = trainer.updates
@@ -87,7 +94,8 @@ class Reporter:
         with self._store.held():
             learner_share = self._store.learner_waiting.share()
             actors_share = self._store.actors_waiting.share()
-            waiting = waiting_text(self._store.limiter, learner_share, actors_share)
+            waiting = self._store.waiting_text()
+            paused = bool(self._store.room.explain())
             arrivals = self._arrivals.metrics()
         self._state_publisher.publish(
             RunState(
@@ -108,6 +116,7 @@ class Reporter:
                 **self._intake_counts(),
                 "waiting/learner": learner_share,
                 "waiting/actors": actors_share,
+                "waiting/disk": float(paused),
             }
         )
 
@@ -123,6 +132,9 @@ class Reporter:
             "noise_scale": self._publication.noise_scale,
             "checkpoints_written": float(self._checkpointer.written),
             "checkpoints_failed": float(self._checkpointer.failed),
+            "log/bytes": float(store.log.size_bytes),
+            "log/recovered": float(self._recovered),
+            "log/damaged": float(self._damaged),
             "actors": float(sum(role == "actor" for role, _ in self._presence.present())),
         }
 

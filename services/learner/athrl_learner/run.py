@@ -120,7 +120,10 @@ def _prepare(folder: RunFolder, *, resuming: bool) -> CheckpointContent | None:
         log.warning("removed %s, which was never completed", path)
     found = newest_intact_checkpoint(folder.checkpoints)
     if found is None:
-        log.warning("%s has no checkpoint yet: the run starts from its beginning", folder.path)
+        log.warning(
+            "%s has no checkpoint yet: training begins anew, with the experience that is in its log",
+            folder.path,
+        )
         return None
     path, content = found
     log.info("going on from %s, at %d environment steps", path, content.state["environment_steps"])

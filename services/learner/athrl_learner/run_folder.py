@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import fcntl
-import os
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
 from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
+from athrl_learner.files import Files, write_whole
 
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write `content` beside `path`, bring it to the disk, and rename it: readers see the old or the new."""
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    write_whole(Files(), path, content)
+
+
+def _holds_something(folder: Path) -> bool:
+    return folder.is_dir() and any(folder.iterdir())
 
 
 class RunFolder:
@@ -31,6 +30,7 @@ class RunFolder:
         self.path = path
         self.run_toml = path / "run.toml"
         self.checkpoints = path / "checkpoints"
+        self.experience = path / "experience"
         self.latest_policy = path / "policies" / "latest.onnx"
         self.latest_policy_facts = path / "policies" / "latest.json"
         self._lock_path = path / "learner.lock"
@@ -71,7 +71,7 @@ class RunFolder:
         Raises:
             RunFolderTaken: it holds a run file or checkpoints.
         """
-        if self.run_toml.exists() or (self.checkpoints.is_dir() and any(self.checkpoints.iterdir())):
+        if self.run_toml.exists() or any(map(_holds_something, (self.checkpoints, self.experience))):
             raise RunFolderTaken(
                 f"{self.path} holds a run already: go on with --resume {self.path} or choose another run.name"
             )
@@ -80,6 +80,7 @@ class RunFolder:
         """Make the folders inside and write `run.toml`, the run file as it is used."""
         try:
             self.checkpoints.mkdir(exist_ok=True)
+            self.experience.mkdir(exist_ok=True)
             self.latest_policy.parent.mkdir(exist_ok=True)
             write_atomically(self.run_toml, run_toml.encode())
         except OSError as error:

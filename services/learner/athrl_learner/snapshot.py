@@ -4,73 +4,93 @@ from __future__ import annotations
 
 import copy
 import textwrap
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from athrl_planners import AtHRL
 from athrl_protocol import ChunkIntake, RunFile
+from athrl_protocol.ledger import Ledger
 
 from athrl_learner.checkpoint import CheckpointContent
 from athrl_learner.errors import CannotResume
+from athrl_learner.recovery import Recovery
 from athrl_learner.store import ExperienceStore
 
 
 def take_snapshot(
-    run_file: RunFile, agent: AtHRL, store: ExperienceStore, intake: ChunkIntake, policy_version: int
+    run_file: RunFile,
+    agent: AtHRL,
+    store: ExperienceStore,
+    intake: ChunkIntake,
+    policy_version: int,
+    damaged: int = 0,
 ) -> CheckpointContent:
-    """Copy everything; called between two updates. The intake stands still while the replay is copied.
+    """Copy everything but the experience, which is in the log; called between two updates.
 
     The ledger says which chunks the replay has: were the two of different moments, a chunk would be counted
-    twice or never after a resume.
+    twice or never after a resume. So the intake stands still, for about a millisecond.
     """
     with intake.paused(), store.held():
-        ledger = intake.ledger()
-        replay = store.replay.state()
-        limiter = store.limiter.state()
-        environment_steps = store.environment_steps
-    arrays = {name: value for name, value in replay.items() if isinstance(value, np.ndarray)}
-    return CheckpointContent(
-        state={
+        state = {
             "run_file": run_file.model_dump(),
-            "environment_steps": environment_steps,
+            "environment_steps": store.environment_steps,
             "updates": agent.updates,
             "policy_version": policy_version,
-            "limiter": limiter,
-            "ledger": ledger,
-            "replay": {name: value for name, value in replay.items() if name not in arrays},
-        },
-        agent=copy.deepcopy(agent.state_dict()),
-        replay=arrays,
-    )
+            "limiter": store.limiter.state(),
+            "ledger": intake.ledger(),
+            "totals": intake.totals(),
+            "damaged": damaged,
+            "replay": store.replay.state(),
+        }
+        position = store.log_position()
+    return CheckpointContent(state=state, agent=copy.deepcopy(agent.state_dict()), log=position)
 
 
-def restore_snapshot(content: CheckpointContent, agent: AtHRL, store: ExperienceStore) -> None:
-    """Put planner, replay, limiter and step counter back; `saved_ledger` and `saved_version` are the rest.
+@dataclass(frozen=True)
+class Restored:
+    """What a learner goes on with beside agent and store.
+
+    Attributes:
+        ledger: of all chunks that were settled.
+        recovered: chunks that were taken in from the log, beyond the checkpoint.
+        damaged: records of the log that could not be read, in the run so far.
+    """
+
+    ledger: Ledger
+    recovered: int = 0
+    damaged: int = 0
+
+
+def restore_snapshot(content: CheckpointContent | None, agent: AtHRL, store: ExperienceStore) -> Restored:
+    """Put planner, replay, limiter and counters back, and take in what the log has beyond `content`.
+
+    Without `content` everything is taken in that the log has.
 
     Raises:
-        CannotResume: the checkpoint does not fit the run's settings.
+        CannotResume: checkpoint or log do not fit the run's settings, or cannot be read.
     """
-    state: dict[str, Any] = content.state
+    state: dict[str, Any] = content.state if content is not None else {}
     try:
-        agent.load_state_dict(content.agent)
-        store.replay.load_state({**state["replay"], **content.replay})
-        store.limiter.load_state(state["limiter"])
-        store.restore(int(state["environment_steps"]))
+        ledger = Ledger(state.get("ledger"), state.get("totals"))
+        if content is not None:
+            agent.load_state_dict(content.agent)
+            store.limiter.load_state(state["limiter"])
+            store.restore(int(state["environment_steps"]))
+        recovery = Recovery(store, ledger, content.log if content is not None else None)
+        recovery.run(state["replay"] if content is not None else None)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 200)  # torch names every tensor
         raise CannotResume(
             f"the checkpoint does not fit the run's settings; was one overridden? {reason}"
         ) from None
+    except OSError as error:
+        raise CannotResume(f"cannot read the log {store.log.folder}: {error.strerror}") from None
     if store.limiter.warmed_up and not len(store.replay):
         # The limiter would permit samples of nothing, for ever.
         raise CannotResume("the checkpoint's limiter has counted experience that its replay does not hold")
-
-
-def saved_ledger(content: CheckpointContent) -> dict[str, Any]:
-    """Which chunks were taken in, for the intake."""
-    return dict(content.state["ledger"])
+    return Restored(ledger, recovery.chunks, int(state.get("damaged", 0)) + recovery.damaged)
 
 
 def saved_version(content: CheckpointContent) -> int:
     """The newest policy version when the checkpoint was taken."""
-    return int(content.state["policy_version"])
+    return content.policy_version

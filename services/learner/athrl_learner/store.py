@@ -1,22 +1,31 @@
-"""Replay, limiter and step counter behind one lock: where the intake thread and the trainer meet."""
+"""Replay, log, limiter and step counter behind one lock: where the intake thread and the trainer meet."""
 
 from __future__ import annotations
 
+import json
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from athrl_planners import SequenceBatch, SequenceReplay
+from athrl_planners import Sequence, SequenceBatch, SequenceReplay
 from athrl_protocol import Chunk, IntakeBusy, IntakeFinished
 
 from athrl_learner.arrivals import Arrivals
+from athrl_learner.errors import Deadlock, DiskFull
 from athrl_learner.experience import ChunkReader
 from athrl_learner.limiter import SamplesPerInsert
-from athrl_learner.waiting import WaitingTime
+from athrl_learner.room import DiskRoom
+from athrl_learner.segments import Kind, LogPosition, SegmentLog
+from athrl_learner.waiting import WaitingTime, waiting_text
 
 
 class ExperienceStore:
-    """Takes chunks in and hands batches out, as far as the limiter permits."""
+    """Takes chunks in and hands batches out, as far as the limiter permits.
+
+    A chunk is in the log before it is in the replay, so it can be acknowledged when `accept` and `commit`
+    have returned.
+    """
 
     def __init__(
         self,
@@ -25,15 +34,19 @@ class ExperienceStore:
         limiter: SamplesPerInsert,
         arrivals: Arrivals,
         environment_steps_target: int,
+        log: SegmentLog,
     ) -> None:
+        self.reader = reader
         self.replay = replay
         self.limiter = limiter
+        self.log = log
         self.environment_steps_target = environment_steps_target
         self.environment_steps = 0  # transitions accepted, each counted here and nowhere else
         self.actors_waiting = WaitingTime()
         self.learner_waiting = WaitingTime()
-        self._reader = reader
+        self.room = DiskRoom()
         self._arrivals = arrivals
+        self._numbers: deque[int] = deque(maxlen=replay.slots)  # records of the sequences in the replay
         self._changed = threading.Condition()
 
     @property
@@ -45,29 +58,40 @@ class ExperienceStore:
         """Whether all experience is in and no more batches of `sequences` are owed."""
         return self.complete and not self.limiter.permits_sample(sequences * self.replay.sequence_length)
 
-    def accept(self, chunk: Chunk) -> None:
-        """Check a chunk and put it into the replay. Called by the intake, on its thread.
+    def accept(self, chunk: Chunk, message: bytes) -> None:
+        """Check a chunk, write it down and put it into the replay. Called by the intake, on its thread.
+
+        Args:
+            chunk: what arrived.
+            message: as which it arrived; this is what the log keeps.
 
         Raises:
             InvalidMessage: the chunk does not fit the run.
-            IntakeBusy: training lags too far behind; the actor has to wait.
+            IntakeBusy: training lags too far behind, or the disk is full; the actor has to wait.
             IntakeFinished: the run has all its environment steps.
+            LogFailed: the disk refuses for good.
         """
-        sequence = self._reader.sequence(chunk)
+        sequence = self.reader.sequence(chunk)
         with self._changed:
             if self.complete:
                 raise IntakeFinished("the run has all its environment steps")
             if not self.limiter.permits_insert(chunk.length):
                 self.actors_waiting.begin()
                 raise IntakeBusy(self.limiter.explain() or "the learner is busy")
+            number = self._write_down(Kind.CHUNK, message)
             self.actors_waiting.end()
-            self.replay.insert(sequence)
-            self.limiter.inserted(chunk.length)
-            self.environment_steps += chunk.length
             self._arrivals.arrived(chunk)
-            if self.complete:
-                self.limiter.close()
-            self._changed.notify_all()
+            self._take(sequence, number)
+
+    def refuse(self, chunk: Chunk) -> None:
+        """Write down that a chunk is settled though it was not taken in; raises as `accept` does."""
+        numbers = {"actor": chunk.actor, "incarnation": chunk.incarnation, "sequence": chunk.sequence}
+        with self._changed:
+            self._write_down(Kind.REFUSAL, json.dumps(numbers).encode())
+
+    def commit(self) -> None:
+        """Bring the log to the disk before a batch of answers, if that is wanted; raises LogFailed."""
+        self.log.commit()
 
     def sample(self, sequences: int, timeout: float) -> SequenceBatch | None:
         """A batch as soon as the limiter permits it, or None after `timeout` seconds without permission.
@@ -86,9 +110,34 @@ class ExperienceStore:
             self.learner_waiting.end()
             batch = self.replay.sample(sequences)
             self.limiter.sampled(batch.transitions)
-            if self.limiter.permits_insert(self.limiter.largest_insert):
+            if self.limiter.permits_insert(self.limiter.largest_insert) and not self.room.explain():
                 self.actors_waiting.end()
             return batch
+
+    def require_progress(self, bound: float) -> None:
+        """Look whether anybody goes on.
+
+        Raises:
+            Deadlock: actors and learner have both been kept waiting by the limiter for `bound` seconds. The
+                limiter rules that out, so it is a mistake in the program, and waiting on would not end it.
+        """
+        with self._changed:
+            lasting = min(self.actors_waiting.lasting, self.learner_waiting.lasting)
+            if lasting < bound or self.room.explain() or self.complete:
+                return
+            raise Deadlock(
+                f"actors and learner have waited for each other for {lasting:.0f} s: the limiter lets none "
+                f"go on after {self.limiter.inserts} inserts and {self.limiter.samples} samples "
+                f"(surplus {self.limiter.surplus:g}, bound {self.limiter.error_bound:g})"
+            )
+
+    def waiting_text(self) -> str:
+        """Who waits for whom, and for which share of the last minute; empty if nobody does. Within `held`."""
+        return self.room.explain() or waiting_text(
+            self.limiter,
+            self.learner_waiting.share_of_the_minute(),
+            self.actors_waiting.share_of_the_minute(),
+        )
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -96,9 +145,48 @@ class ExperienceStore:
         with self._changed:
             yield
 
+    def log_position(self) -> LogPosition:
+        """End the log's segment and say where that is; only within `held`."""
+        segments = self.log.seal()
+        oldest = self._numbers[0] if self._numbers else self.log.next_record
+        return LogPosition(
+            self.log.next_segment,
+            self.log.next_record,
+            oldest,
+            tuple(facts for facts in segments if facts.first + facts.records > oldest),
+        )
+
     def restore(self, environment_steps: int) -> None:
         """Go on from `environment_steps`, after replay and limiter were restored."""
         with self._changed:
             self.environment_steps = environment_steps
             if self.complete:
                 self.limiter.close()
+
+    def remember(self, number: int) -> None:
+        """The sequence of record `number` was put back into the replay, as its newest."""
+        self._numbers.append(number)
+
+    def take_again(self, sequence: Sequence, number: int) -> None:
+        """Take in what record `number` of the log holds and no checkpoint does; it was accepted before."""
+        with self._changed:
+            self._take(sequence, number)
+
+    def _take(self, sequence: Sequence, number: int) -> None:
+        self.replay.insert(sequence)
+        self._numbers.append(number)
+        self.limiter.inserted(sequence.length)
+        self.environment_steps += sequence.length
+        if self.complete:
+            self.limiter.close()
+        self._changed.notify_all()
+
+    def _write_down(self, kind: Kind, body: bytes) -> int:
+        try:
+            number = self.log.append(kind, body)
+        except DiskFull as full:
+            self.room.missing(str(full))
+            self.actors_waiting.begin()
+            raise IntakeBusy(self.room.explain()) from None
+        self.room.found()
+        return number

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from athrl_planners import ActionRange, AtHRL, ObservationSettings, PlannerSettings, SequenceReplay
@@ -10,6 +11,7 @@ from athrl_protocol import RunFile
 
 from athrl_learner.experience import ChunkReader, ExpectedLevel
 from athrl_learner.limiter import SamplesPerInsert
+from athrl_learner.segments import SegmentLog
 
 #: The learner's branch in the run's tree of seeds, and its two leaves.
 _LEARNER = 1
@@ -104,6 +106,17 @@ def make_limiter(run_file: RunFile) -> SamplesPerInsert:
         minimum_inserts=max(1, run_file.exploration.random_decisions),
         largest_insert=run_file.replay.sequence_length,
         largest_sample=run_file.learner.batch * run_file.replay.sequence_length,
+    )
+
+
+def make_log(run_file: RunFile, folder: Path) -> SegmentLog:
+    """The log of experience in `folder`."""
+    durability = run_file.durability
+    return SegmentLog(
+        folder,
+        segment_bytes=round(durability.segment_mebibytes * 2**20),
+        fsync=durability.fsync,
+        reserve_bytes=round(durability.reserve_mebibytes * 2**20),
     )
 
 

@@ -1,12 +1,15 @@
-"""How long somebody has been waiting, as a share of the time between two reports."""
+"""How long somebody has been waiting: as a share of the time, and without a break until now."""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 
 from athrl_learner.limiter import SamplesPerInsert
 
+#: What is told to people is a share of so many seconds.
+MINUTE = 60.0
 _WORTH_TELLING = 0.05
 
 
@@ -16,8 +19,8 @@ class WaitingTime:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._since: float | None = None
-        self._waited = 0.0
-        self._reported_at = clock()
+        self._ended = 0.0  # seconds of all waits that are over
+        self._marks = deque([(clock(), 0.0)])  # at each report: when, and seconds waited until then
 
     def begin(self) -> None:
         """The waiting begins, or goes on if it already had."""
@@ -27,27 +30,40 @@ class WaitingTime:
     def end(self) -> None:
         """The waiting is over, if there was any."""
         if self._since is not None:
-            self._waited += self._clock() - self._since
+            self._ended += self._clock() - self._since
             self._since = None
 
+    @property
+    def lasting(self) -> float:
+        """Seconds for which the waiting has gone on without a break; 0 if nobody waits."""
+        return self._clock() - self._since if self._since is not None else 0.0
+
     def share(self) -> float:
-        """Share of the time since the last call that was spent waiting, 0..1."""
-        now = self._clock()
-        if self._since is not None:
-            self._waited += now - self._since
-            self._since = now
-        elapsed, waited = now - self._reported_at, self._waited
-        self._reported_at, self._waited = now, 0.0
-        return min(1.0, waited / elapsed) if elapsed > 0 else 0.0
+        """Share of the time since the last call that was spent waiting, 0..1; called once a report."""
+        now, waited = self._clock(), self._ended + self.lasting
+        reported_at, waited_then = self._marks[-1]
+        self._marks.append((now, waited))
+        while len(self._marks) > 1 and self._marks[1][0] <= now - MINUTE:
+            self._marks.popleft()
+        return _share(now - reported_at, waited - waited_then)
+
+    def share_of_the_minute(self) -> float:
+        """Share of the last minute, or of the time since the beginning, that was spent waiting, 0..1."""
+        began, waited_then = self._marks[0]
+        return _share(self._clock() - began, self._ended + self.lasting - waited_then)
 
 
 def waiting_text(limiter: SamplesPerInsert, learner_share: float, actors_share: float) -> str:
-    """Who waited for whom between the last two reports, how much and why; empty if nobody did for long."""
+    """Who waited for whom in the last minute, for which share of it; empty if nobody did for long."""
     if limiter.closed or not limiter.warmed_up:
         return limiter.explain()
     share = max(learner_share, actors_share)
     if share < _WORTH_TELLING:
         return ""
     learner_waits = learner_share >= actors_share
-    who = "the learner waits for the actors" if learner_waits else "the actors wait for the learner"
-    return f"{who}, {share:.0%} of the time: {limiter.ratio_text()}"
+    who = "the learner waits for data" if learner_waits else "the actors wait for the learner"
+    return f"{who}, {100 * share:.0f} % of the last minute ({limiter.ratio_text()})"
+
+
+def _share(elapsed: float, waited: float) -> float:
+    return min(1.0, waited / elapsed) if elapsed > 0 else 0.0

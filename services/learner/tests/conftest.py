@@ -1,15 +1,20 @@
 """A small run on a free port of this machine, and chunks that fit it."""
 
 import contextlib
+import importlib.util
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Self
 
 import numpy as np
 import pytest
+from athrl_learner import translation
+from athrl_learner.segments import SegmentLog
+from athrl_learner.store import ExperienceStore
 from athrl_protocol import (
     Chunk,
     ChunkUploader,
@@ -24,6 +29,7 @@ from athrl_protocol import (
     StateSubscriber,
     UploadStatistics,
     announce_presence,
+    encode_chunk,
     fetch_run_file,
     new_incarnation,
     open_session,
@@ -46,6 +52,7 @@ SETTINGS = (
     "learner.samples_per_insert=4",
     "learner.publish_seconds=0.1",
     "learner.checkpoint_seconds=0.5",
+    "durability.segment_mebibytes=0.1",
 )
 
 
@@ -101,6 +108,44 @@ def make_chunk() -> Callable[..., Chunk]:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def faults() -> ModuleType:
+    """The module `faults.py`, with disks that fail."""
+    spec = importlib.util.spec_from_file_location("faults", Path(__file__).with_name("faults.py"))
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    assert spec.loader is not None
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def wait_for() -> Callable[[Callable[[], bool]], None]:
+    """Wait until something has happened that must happen."""
+
+    def wait(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + 60
+        while not condition():
+            assert time.monotonic() < deadline, "the awaited did not happen"
+            time.sleep(0.01)
+
+    return wait
+
+
+@pytest.fixture
+def experience(run_file: RunFile, tmp_path: Path) -> Iterator[SegmentLog]:
+    """The log of experience of the small run, in a folder of its own."""
+    log = translation.make_log(run_file, tmp_path / "experience")
+    yield log
+    log.close()
+
+
+@pytest.fixture
+def accept() -> Callable[[ExperienceStore, Chunk], None]:
+    """Hand a chunk to a store as the intake does."""
+    return lambda store, chunk: store.accept(chunk, encode_chunk(chunk))
 
 
 class FakeActor:

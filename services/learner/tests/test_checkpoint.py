@@ -1,50 +1,83 @@
 """Checkpoints: what is read is what was written, and a kill or a damaged disk costs the newest at most."""
 
+import dataclasses
 import json
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 import torch
 from athrl_learner.checkpoint import (
+    BestCheckpoint,
     CheckpointContent,
     newest_intact_checkpoint,
     read_checkpoint,
     remove_unfinished,
+    remove_unneeded,
     write_checkpoint,
 )
+from athrl_learner.checkpointing import Checkpointer
 from athrl_learner.errors import CannotResume, CheckpointFailed, DamagedCheckpoint
+from athrl_learner.segments import Kind, LogPosition, SegmentFacts, SegmentLog, numbered_segments
 
 
 def content(number: int = 0) -> CheckpointContent:
     return CheckpointContent(
-        state={"number": number, "limiter": {"inserts": 3, "samples": 4}},
+        state={"number": number, "policy_version": 10 * number, "limiter": {"inserts": 3, "samples": 4}},
         agent={"updates": number, "levels": {"intention": {"weight": torch.full((3, 2), float(number))}}},
-        replay={
-            "images": np.random.default_rng(number).integers(0, 255, (7, 3, 8, 8, 4), dtype=np.uint8),
-            "intention.rewards": np.linspace(0, 1, 6, dtype=np.float32).reshape(3, 2),
-            "terminated": np.array([True, False]),
-        },
+        log=LogPosition(number + 2, 70, 50, (SegmentFacts(number + 1, 40, 30, 4321, "abcd"),)),
     )
+
+
+def write_and_keep(folder, number, kept, files=None):
+    path = write_checkpoint(folder, content(number), files)
+    remove_unneeded(folder, kept, BestCheckpoint(folder, files), files)
+    return path
 
 
 def test_a_checkpoint_holds_exactly_what_was_given(tmp_path):
     written = content(5)
-    read = read_checkpoint(write_checkpoint(tmp_path, written, kept=3))
+    read = read_checkpoint(write_checkpoint(tmp_path, written))
     assert read.state == written.state
+    assert read.log == written.log
     assert torch.equal(read.agent["levels"]["intention"]["weight"], torch.full((3, 2), 5.0))
-    assert read.replay.keys() == written.replay.keys()
-    for name, array in written.replay.items():
-        np.testing.assert_array_equal(read.replay[name], array, strict=True)
 
 
 def test_only_the_newest_are_kept(tmp_path):
     for number in range(5):
-        write_checkpoint(tmp_path, content(number), kept=2)
+        write_and_keep(tmp_path, number, kept=2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["checkpoint-000004", "checkpoint-000005"]
     _, newest = newest_intact_checkpoint(tmp_path)
     assert newest.state["number"] == 4
+
+
+def test_the_best_is_kept_beside_the_newest(tmp_path):
+    # Checkpoint n has policy version 10 (n - 1); scores are of versions in between.
+    heard = {2: [(11, 5.0)], 3: [(19, 100.0), (28, 3.0)], 5: [(41, 90.0)], 7: [(60, float("nan"))]}
+    for number in range(8):
+        best = BestCheckpoint(tmp_path)  # a new learner each time
+        for version, score in heard.get(number, []):
+            best.heard(version, score)
+        write_checkpoint(tmp_path, content(number))
+        kept = remove_unneeded(tmp_path, 2, best)
+    names = sorted(path.name for path in tmp_path.glob("checkpoint-*"))
+    assert names == ["checkpoint-000003", "checkpoint-000007", "checkpoint-000008"]
+    assert read_checkpoint(tmp_path / names[0]).state["policy_version"] == 20
+    assert [position.next_segment for position in kept.newest] == [8, 9]
+    assert [position.next_segment for position in kept.others] == [4]
+
+
+def test_a_score_goes_to_the_nearest_checkpoint_and_waits_for_one(tmp_path):
+    best = BestCheckpoint(tmp_path)
+    best.heard(7, 1.0)
+    assert best.choose({}) is None
+    assert best.choose({"a": 0, "b": 10}) == "b"
+    best.heard(1, 2.0)
+    assert best.choose({"a": 0, "b": 10}) == "a"
+    best.heard(4, 9.0)  # farther from "a" than the score that it has
+    assert best.choose({"a": 0, "b": 10}) == "a"
+    assert BestCheckpoint(tmp_path).choose({"a": 0, "b": 10}) == "a"
+    assert BestCheckpoint(tmp_path).choose({"b": 10}) == "b"
 
 
 def test_a_folder_without_checkpoints_has_no_newest(tmp_path):
@@ -52,11 +85,11 @@ def test_a_folder_without_checkpoints_has_no_newest(tmp_path):
     assert newest_intact_checkpoint(tmp_path / "missing") is None
 
 
-@pytest.mark.parametrize("name", ["agent.pt", "state.json", "replay/images.npy.zst", "manifest.json"])
+@pytest.mark.parametrize("name", ["agent.pt", "state.json", "manifest.json"])
 @pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
 def test_a_damaged_file_is_named_and_the_checkpoint_before_is_used(tmp_path, caplog, name, damage):
-    older = write_checkpoint(tmp_path, content(1), kept=3)
-    newest = write_checkpoint(tmp_path, content(2), kept=3)
+    older = write_checkpoint(tmp_path, content(1))
+    newest = write_checkpoint(tmp_path, content(2))
     file = newest / name
     stored = bytearray(file.read_bytes())
     if damage == "flip":
@@ -74,7 +107,7 @@ def test_a_damaged_file_is_named_and_the_checkpoint_before_is_used(tmp_path, cap
 
 
 def test_only_damaged_checkpoints_are_an_error_and_no_new_start(tmp_path):
-    (write_checkpoint(tmp_path, content(), kept=3) / "agent.pt").write_bytes(b"")
+    (write_checkpoint(tmp_path, content()) / "agent.pt").write_bytes(b"")
     with pytest.raises(CannotResume, match="damaged"):
         newest_intact_checkpoint(tmp_path)
 
@@ -82,7 +115,7 @@ def test_only_damaged_checkpoints_are_an_error_and_no_new_start(tmp_path):
 def test_a_pickle_with_the_right_checksum_is_refused(tmp_path):
     # A file that does something when it is unpickled, with a manifest made to fit it.
     written = content()
-    path = write_checkpoint(tmp_path, CheckpointContent(written.state, {"threat": Threat()}, {}), kept=1)
+    path = write_checkpoint(tmp_path, CheckpointContent(written.state, {"threat": Threat()}, written.log))
     with pytest.raises(DamagedCheckpoint, match="cannot be read"):
         read_checkpoint(path)
     assert not Threat.carried_out
@@ -96,34 +129,82 @@ class Threat:
 
 
 def test_another_format_is_refused_by_number(tmp_path):
-    path = write_checkpoint(tmp_path, content(), kept=1)
+    path = write_checkpoint(tmp_path, content())
     manifest = json.loads((path / "manifest.json").read_text())
     (path / "manifest.json").write_text(json.dumps({**manifest, "format": 99}))
     with pytest.raises(CannotResume, match="format 99"):
         newest_intact_checkpoint(tmp_path)
 
 
-def test_a_disk_that_refuses_leaves_the_checkpoints_before(tmp_path, monkeypatch):
-    write_checkpoint(tmp_path, content(1), kept=3)
+def test_a_manifest_with_another_number_is_damaged(tmp_path):
+    path = write_checkpoint(tmp_path, content())
+    manifest = json.loads((path / "manifest.json").read_text())
+    manifest["log"]["oldest"] += 1
+    (path / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(DamagedCheckpoint, match=r"manifest\.json"):
+        read_checkpoint(path)
 
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(CheckpointFailed, match="No space left"):
-        write_checkpoint(tmp_path, content(2), kept=3)
-    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint-000001"]
-    assert newest_intact_checkpoint(tmp_path)[1].state["number"] == 1
+def write_three(folder, files=None):
+    """What a run does to its folder: checkpoint after checkpoint, of which two are kept."""
+    for number in range(1, 5):
+        best = BestCheckpoint(folder, files)
+        best.heard(10 * number, -number)  # the first stays the best
+        write_checkpoint(folder, content(number), files)
+        remove_unneeded(folder, 2, best, files)
+
+
+def test_a_death_at_any_operation_leaves_a_loadable_checkpoint(tmp_path, faults):
+    complete = faults.FaultyFiles()
+    write_three(tmp_path / "whole", complete)
+    assert complete.operations > 60
+    newest = 0
+    for operation in range(complete.operations):
+        folder = tmp_path / str(operation)
+        with pytest.raises(faults.Died):
+            write_three(folder, faults.FaultyFiles(dies_at=operation))
+        remove_unfinished(folder)
+        found = newest_intact_checkpoint(folder)
+        number = found[1].state["number"] if found is not None else 0
+        assert number >= newest, "a later death left an older checkpoint"
+        newest = number
+        # Whoever goes on can write, and finds all names free.
+        assert read_checkpoint(write_and_keep(folder, 9, kept=2)).state["number"] == 9
+        assert all(path.name == "scores.json" or read_checkpoint(path) for path in folder.iterdir())
+    assert newest == 4
+
+
+def test_a_disk_that_refuses_leaves_the_checkpoints_before(tmp_path, faults):
+    complete = faults.FaultyFiles()
+    write_checkpoint(tmp_path / "whole", content(1), complete)
+    for operation in range(complete.operations - 1):  # the last one brings the new name to the disk
+        folder = tmp_path / str(operation)
+        write_checkpoint(folder, content(1))
+        with pytest.raises(CheckpointFailed, match="Input/output error"):
+            write_checkpoint(folder, content(2), faults.FaultyFiles(fails_at=operation))
+        assert newest_intact_checkpoint(folder)[1].state["number"] == 1
+
+
+def test_a_checkpoint_frees_the_segments_that_none_needs(tmp_path):
+    log = SegmentLog(tmp_path / "experience", segment_bytes=1, fsync="never")
+    checkpointer = Checkpointer(
+        tmp_path / "checkpoints", log, BestCheckpoint(tmp_path / "checkpoints"), seconds=1e9, kept=2
+    )
+    for number in range(1, 9):
+        log.append(Kind.CHUNK, b"%d" % number)
+        segments = tuple(log.seal()[-3:])  # the replay has room for three
+        position = LogPosition(log.next_segment, log.next_record, segments[0].first, segments)
+        checkpointer.write_last(dataclasses.replace(content(number), log=position))
+    assert list(numbered_segments(log.folder)) == [5, 6, 7, 8]
 
 
 WRITE_AND_KILL = """
 import os, signal, sys, time
 from pathlib import Path
-import numpy as np
 import torch
-from athrl_learner.checkpoint import CheckpointContent, write_checkpoint
+from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent, remove_unneeded, write_checkpoint
+from athrl_learner.segments import LogPosition
 folder = Path(sys.argv[1])
-images = np.random.default_rng(0).integers(0, 255, (2000, 32, 32, 4), dtype=np.uint8)
 for delay in sys.argv[2:]:
     writer = os.fork()
     if writer == 0:
@@ -131,8 +212,9 @@ for delay in sys.argv[2:]:
         while True:
             number += 1
             weights = {"weight": torch.full((1000, 1000), float(number))}
-            content = CheckpointContent({"number": number}, weights, {"images": images})
-            write_checkpoint(folder, content, kept=2)
+            state = {"number": number, "policy_version": 0}
+            write_checkpoint(folder, CheckpointContent(state, weights, LogPosition(1, 0, 0, ())))
+            remove_unneeded(folder, 2, BestCheckpoint(folder))
     while not list(folder.glob("checkpoint-[0-9]*[0-9]")):
         time.sleep(0.01)
     time.sleep(float(delay))

@@ -108,7 +108,7 @@ def test_the_limiter_says_who_waits_for_whom():
     assert limiter.explain().startswith("the actors wait for the learner")
     while limiter.permits_sample(40):
         limiter.sampled(40)
-    assert limiter.explain().startswith("the learner waits for the actors")
+    assert limiter.explain().startswith("the learner waits for data")
     limiter.inserted(10)
     assert limiter.explain() == ""
 

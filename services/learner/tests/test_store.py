@@ -1,17 +1,21 @@
 """Intake and trainer meet in the store: who waits for whom, and when the run has all it needs."""
 
+import contextlib
 import threading
+import time
 
 import pytest
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
+from athrl_learner.errors import Deadlock
+from athrl_learner.parts import make_experience
 from athrl_learner.store import ExperienceStore
 from athrl_learner.waiting import WaitingTime, waiting_text
-from athrl_protocol import IntakeBusy, IntakeFinished, InvalidMessage
+from athrl_protocol import Chunk, IntakeBusy, IntakeFinished, InvalidMessage
 
 
 @pytest.fixture
-def store(run_file) -> ExperienceStore:
+def store(run_file, experience) -> ExperienceStore:
     agent = translation.make_agent(run_file)
     return ExperienceStore(
         translation.make_reader(run_file, agent),
@@ -19,46 +23,47 @@ def store(run_file) -> ExperienceStore:
         translation.make_limiter(run_file),
         Arrivals(),
         run_file.run.environment_steps,
+        experience,
     )
 
 
-def fill(store: ExperienceStore, make_chunk) -> None:
+def fill(store: ExperienceStore, make_chunk, accept) -> None:
     """Insert until the store refuses."""
     while True:
         try:
-            store.accept(make_chunk())
+            accept(store, make_chunk())
         except (IntakeBusy, IntakeFinished):
             return
 
 
-def test_steps_are_counted_once_and_padding_never(store, make_chunk):
-    store.accept(make_chunk(length=5))
-    store.accept(make_chunk(length=2, terminated=True))
+def test_steps_are_counted_once_and_padding_never(store, make_chunk, accept):
+    accept(store, make_chunk(length=5))
+    accept(store, make_chunk(length=2, terminated=True))
     assert store.environment_steps == store.limiter.inserts == len(store.replay) == 7
 
 
-def test_a_refused_chunk_changes_nothing(store, make_chunk):
+def test_a_refused_chunk_changes_nothing(store, make_chunk, accept):
     with pytest.raises(InvalidMessage):
-        store.accept(make_chunk(levels={}))
+        accept(store, make_chunk(levels={}))
     assert store.environment_steps == store.limiter.inserts == len(store.replay) == 0
 
 
-def test_actors_wait_while_training_lags(store, make_chunk):
-    fill(store, make_chunk)
+def test_actors_wait_while_training_lags(store, make_chunk, accept):
+    fill(store, make_chunk, accept)
     before = store.environment_steps
     with pytest.raises(IntakeBusy, match="actors wait for the learner"):
-        store.accept(make_chunk())
+        accept(store, make_chunk())
     assert store.environment_steps == before
     assert store.actors_waiting.share() > 0
     while store.sample(4, timeout=0) is not None:
         pass
-    store.accept(make_chunk())
+    accept(store, make_chunk())
     assert store.environment_steps == before + 5
 
 
-def test_training_waits_while_experience_lags(store, make_chunk):
+def test_training_waits_while_experience_lags(store, make_chunk, accept):
     assert store.sample(4, timeout=0) is None
-    fill(store, make_chunk)
+    fill(store, make_chunk, accept)
     while store.sample(4, timeout=0) is not None:
         pass
     assert store.learner_waiting.share() > 0
@@ -66,39 +71,39 @@ def test_training_waits_while_experience_lags(store, make_chunk):
     sampled = []
     waiting = threading.Thread(target=lambda: sampled.append(store.sample(4, timeout=60)))
     waiting.start()
-    fill(store, make_chunk)
+    fill(store, make_chunk, accept)
     waiting.join(timeout=30)
     assert sampled[0] is not None
 
 
-def test_a_full_run_takes_nothing_more_and_trains_what_it_owes(store, make_chunk):
+def test_a_full_run_takes_nothing_more_and_trains_what_it_owes(store, make_chunk, accept):
     while not store.complete:
-        fill(store, make_chunk)
+        fill(store, make_chunk, accept)
         if not store.complete:
             assert store.sample(4, timeout=0) is not None
     with pytest.raises(IntakeFinished):
-        store.accept(make_chunk())
+        accept(store, make_chunk())
     while not store.exhausted(4):
         assert store.sample(4, timeout=0) is not None
     assert store.sample(4, timeout=60) is None
     assert 0 <= store.limiter.surplus < 20
 
 
-def test_a_resumed_full_run_stays_full(store, make_chunk):
+def test_a_resumed_full_run_stays_full(store, make_chunk, accept):
     store.restore(environment_steps=400)
     with pytest.raises(IntakeFinished):
-        store.accept(make_chunk())
+        accept(store, make_chunk())
 
 
-def test_waiting_is_told_as_a_share_with_its_reason(store, make_chunk):
+def test_waiting_is_told_as_a_share_of_the_last_minute_with_its_reason(store):
     assert "warm-up: 0 of 60" in waiting_text(store.limiter, 1.0, 0.0)
     store.limiter.inserted(60)
     assert waiting_text(store.limiter, 0.01, 0.02) == ""
     assert waiting_text(store.limiter, 0.83, 0.1).startswith(
-        "the learner waits for the actors, 83% of the time"
+        "the learner waits for data, 83 % of the last minute"
     )
     assert waiting_text(store.limiter, 0.1, 0.5).startswith(
-        "the actors wait for the learner, 50% of the time"
+        "the actors wait for the learner, 50 % of the last minute"
     )
 
 
@@ -118,6 +123,78 @@ def test_waiting_shares_add_up_over_a_report():
     assert waiting.share() == 1.0
     now = 8.0
     assert waiting.share() == 1.0
+
+
+def test_the_share_of_the_minute_forgets_what_was_before():
+    now = 0.0
+    waiting = WaitingTime(clock=lambda: now)
+    waiting.begin()
+    for now in range(1, 31):  # noqa: B007 - the clock reads it
+        waiting.share()
+    assert waiting.share_of_the_minute() == 1.0
+    waiting.end()
+    for now in range(31, 61):  # noqa: B007
+        waiting.share()
+    assert waiting.share_of_the_minute() == 0.5
+    for now in range(61, 91):  # noqa: B007
+        waiting.share()
+    assert waiting.share_of_the_minute() == 0.0
+
+
+def test_a_deadlock_is_an_error_and_no_way_of_life(store, make_chunk, accept):
+    now = 0.0
+    store.actors_waiting, store.learner_waiting = (WaitingTime(clock=lambda: now) for _ in range(2))
+    fill(store, make_chunk, accept)
+    store.limiter.error_bound = -1e9  # no limiter of ours is like that
+    with pytest.raises(IntakeBusy):
+        accept(store, make_chunk())
+    assert store.sample(4, timeout=0) is None
+    now = 59.0
+    store.require_progress(60.0)
+    now = 61.0
+    with pytest.raises(Deadlock, match="waited for each other for 61 s"):
+        store.require_progress(60.0)
+
+
+def test_one_side_that_waits_for_long_is_no_deadlock(store, make_chunk, accept):
+    now = 0.0
+    store.actors_waiting, store.learner_waiting = (WaitingTime(clock=lambda: now) for _ in range(2))
+    fill(store, make_chunk, accept)
+    now = 1000.0
+    store.require_progress(60.0)
+    while store.sample(4, timeout=0) is not None:
+        pass
+    now = 2000.0
+    store.require_progress(60.0)
+
+
+@pytest.mark.parametrize("actors", [1, 4, 16])
+def test_the_ratio_is_held_for_any_number_of_actors(run_file, make_chunk, accept, experience, actors):
+    run = run_file.run.model_copy(update={"environment_steps": 4000})
+    store = make_experience(
+        run_file.model_copy(update={"run": run}), translation.make_agent(run_file), Arrivals(), experience
+    )
+    chunks = [make_chunk(actor=f"actor-{number}") for number in range(actors)]
+
+    def drive(chunk: Chunk) -> None:
+        with contextlib.suppress(IntakeFinished):
+            while True:
+                try:
+                    accept(store, chunk)
+                except IntakeBusy:
+                    time.sleep(0.001)
+
+    threads = [threading.Thread(target=drive, args=(chunk,)) for chunk in chunks]
+    for thread in threads:
+        thread.start()
+    while not store.exhausted(4):
+        store.sample(4, timeout=0.1)
+        surplus = store.limiter.surplus
+        assert not store.limiter.warmed_up or abs(surplus) <= store.limiter.error_bound
+    for thread in threads:
+        thread.join(timeout=60)
+    tolerance = run_file.learner.samples_per_insert_tolerance
+    assert store.limiter.realised_ratio == pytest.approx(store.limiter.ratio, rel=tolerance)
 
 
 def test_policy_lag_is_told_for_each_actor_that_is_heard(make_chunk):

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from athrl_learner.segments import LogPosition
 
 #: Raised when a checkpoint is laid out differently from before.
-FORMAT = 1
+FORMAT = 2
 MANIFEST = "manifest.json"
 STATE = "state.json"
 AGENT = "agent.pt"
-REPLAY = "replay"
-ARRAY_SUFFIX = ".npy.zst"
 UNFINISHED_SUFFIX = ".part"
 
 _NAME = re.compile(r"checkpoint-(\d{6,})")
@@ -26,14 +26,25 @@ class CheckpointContent:
     """A learner's whole state at one moment between two updates.
 
     Attributes:
-        state: JSON-able: run file, counters, limiter, ledger, replay's plain values, random states.
+        state: JSON-able: run file, counters, limiter, ledger, the replay's order, random states.
         agent: nested dictionaries and lists of tensors and plain values.
-        replay: the replay's arrays by name; may be views of the live ones while nothing is inserted.
+        log: where the log was, and which of its segments the replay is made of.
     """
 
     state: dict[str, Any]
     agent: dict[str, Any]
-    replay: dict[str, np.ndarray]
+    log: LogPosition
+
+    @property
+    def policy_version(self) -> int:
+        """The newest policy when the checkpoint was taken."""
+        return int(self.state["policy_version"])
+
+
+def manifest_checksum(values: dict[str, Any]) -> str:
+    """SHA-256 of a manifest's values other than the checksum itself."""
+    checked = {name: value for name, value in values.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(checked, sort_keys=True).encode()).hexdigest()
 
 
 def checkpoint_name(number: int) -> str:

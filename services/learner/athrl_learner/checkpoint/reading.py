@@ -5,26 +5,40 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-import zstandard
 
 from athrl_learner.checkpoint.content import (
     AGENT,
-    ARRAY_SUFFIX,
     FORMAT,
     MANIFEST,
-    REPLAY,
     STATE,
     CheckpointContent,
+    manifest_checksum,
     numbered_checkpoints,
 )
 from athrl_learner.errors import CannotResume, DamagedCheckpoint
+from athrl_learner.segments import LogPosition
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a checkpoint says of itself.
+
+    Attributes:
+        policy_version: the newest policy when it was taken.
+        files: facts of each file by its name.
+        log: which segments the replay is made of.
+    """
+
+    policy_version: int
+    files: dict[str, dict[str, Any]]
+    log: LogPosition
 
 
 def newest_intact_checkpoint(folder: Path) -> tuple[Path, CheckpointContent] | None:
@@ -53,33 +67,36 @@ def read_checkpoint(path: Path) -> CheckpointContent:
         DamagedCheckpoint: a file is missing, altered or cannot be read; names it.
         CannotResume: it was written by another version of the format.
     """
-    manifest = _read_manifest(path / MANIFEST)
-    for name, facts in manifest["files"].items():
+    manifest = read_manifest(path)
+    for name, facts in manifest.files.items():
         _check_file(path / name, facts)
     try:
         return CheckpointContent(
             state=json.loads((path / STATE).read_bytes()),
             agent=torch.load(path / AGENT, map_location="cpu", weights_only=True),
-            replay={
-                name[len(REPLAY) + 1 : -len(ARRAY_SUFFIX)]: _read_array(path / name)
-                for name in manifest["files"]
-                if name.startswith(f"{REPLAY}/")
-            },
+            log=manifest.log,
         )
     except Exception as error:
         # The checksums agree, so this is no bit flip; whatever is wrong, an older checkpoint may be right.
         raise DamagedCheckpoint(f"checkpoint {path} cannot be read: {error}") from None
 
 
-def _read_manifest(path: Path) -> dict[str, Any]:
+def read_manifest(checkpoint: Path) -> Manifest:
+    """The manifest of the checkpoint at that path; raises as `read_checkpoint` does."""
+    path = checkpoint / MANIFEST
     try:
-        manifest = json.loads(path.read_bytes())
-        version, names = manifest["format"], set(manifest["files"])
+        values = json.loads(path.read_bytes())
+        version = values["format"]
+        if version != FORMAT:
+            raise CannotResume(f"{checkpoint} has checkpoint format {version}, this learner reads {FORMAT}")
+        if values["sha256"] != manifest_checksum(values):
+            raise ValueError("altered")
+        manifest = Manifest(
+            int(values["policy_version"]), dict(values["files"]), LogPosition.from_json(values["log"])
+        )
     except (OSError, ValueError, KeyError, TypeError):
         raise DamagedCheckpoint(f"checkpoint file {path} is missing or damaged") from None
-    if version != FORMAT:
-        raise CannotResume(f"{path.parent} has checkpoint format {version}, this learner reads {FORMAT}")
-    if not {STATE, AGENT} <= names:
+    if not {STATE, AGENT} <= set(manifest.files):
         raise DamagedCheckpoint(f"checkpoint file {path} is damaged: it does not list {STATE} and {AGENT}")
     return manifest
 
@@ -92,8 +109,3 @@ def _check_file(path: Path, facts: dict[str, Any]) -> None:
         raise DamagedCheckpoint(f"checkpoint file {path} cannot be read: {error.strerror}") from None
     if not isinstance(facts, dict) or digest != facts.get("sha256"):
         raise DamagedCheckpoint(f"checkpoint file {path} is damaged: its checksum is not the manifest's")
-
-
-def _read_array(path: Path) -> np.ndarray:
-    with path.open("rb") as file, zstandard.ZstdDecompressor().stream_reader(file) as stream:
-        return np.lib.format.read_array(stream, allow_pickle=False)
