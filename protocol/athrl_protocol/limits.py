@@ -35,18 +35,24 @@ def largest_chunk_of(run_file: RunFile) -> int:
     return min(LARGEST_CHUNK, pixels * MOST_CHANNELS + states + 256 * KIBIBYTE)
 
 
+def largest_message(largest_chunk: int) -> int:
+    """Return bytes of the largest message that Zenoh puts together for the learner, of whatever kind.
+
+    A chunk that is somewhat larger than `largest_chunk` is let in, so that it can be refused by name.
+    """
+    return max(4 * largest_chunk, LARGEST_FRAME) + 64 * KIBIBYTE
+
+
 def size_filter(run: str, largest_chunk: int) -> list[dict[str, Any]]:
     """Return Zenoh's `low_pass_filter` for the learner of a run.
 
     Args:
         run: name of the run.
-        largest_chunk: bytes of a chunk's message; what is a little larger is let in, to be refused by name.
+        largest_chunk: bytes of a chunk's message.
     """
     keys = Keys(run)
     return [
-        _largest(
-            "experience", min(4 * largest_chunk, LARGEST_CHUNK), ["query", "put"], [keys.every_experience]
-        ),
+        _largest("experience", largest_message(largest_chunk), ["query", "put"], [keys.every_experience]),
         _largest("numbers", LARGEST_NUMBERS, ["put", "reply"], [keys.every_metrics, keys.every_evaluation]),
         _largest("frames", LARGEST_FRAME, ["put"], [keys.every_live]),
         _largest(

@@ -27,7 +27,7 @@ from athrl_protocol.address import complete_address, split_address
 from athrl_protocol.certificates import Certificates, find_certificates
 from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
 from athrl_protocol.handshake import why_not_admitted
-from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, size_filter
+from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, largest_message, size_filter
 
 # A silent peer is given up after this time; a killed one at once, by its closed connection.
 LEASE_MILLISECONDS = 5_000
@@ -119,7 +119,7 @@ def _listen(address: str, shown: Certificates | None, run: str | None, largest_c
     require_free(address)
     settings: dict[str, Any] = {
         "listen/endpoints": [address],
-        "transport/link/rx/max_message_size": LARGEST_CHUNK,
+        "transport/link/rx/max_message_size": largest_message(largest_chunk),
     }
     if run is not None:
         settings["low_pass_filter"] = size_filter(run, largest_chunk)
@@ -222,6 +222,12 @@ def undeclare_quietly(declared: Declared) -> None:
     """Undeclare something whose session may be closed already, which has undeclared it too."""
     with contextlib.suppress(zenoh.ZError):
         declared.undeclare()
+
+
+def doubt_about_certificate(session: zenoh.Session) -> str:
+    """Return what to add where a learner is silent: it may be reached and yet not speak to this client."""
+    secure = address_of(session).startswith("tls/")
+    return "; or it does not let this certificate do that, which its log tells" if secure else ""
 
 
 def address_of(session: zenoh.Session) -> str:

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 import threading
+import time
 from collections import deque
 from enum import Enum, auto
 from typing import NamedTuple
@@ -25,7 +27,7 @@ from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import decode_message
-from athrl_protocol.session import undeclare_quietly
+from athrl_protocol.session import address_of, doubt_about_certificate, undeclare_quietly
 from athrl_protocol.upload_window import UploadStatistics, UploadWindow
 
 _log = logging.getLogger(__name__)
@@ -33,6 +35,8 @@ _log = logging.getLogger(__name__)
 ANSWER_SECONDS = 5.0
 IDLE_SECONDS = 1.0
 SILENCE_PAUSE_SECONDS = 0.1
+# Without an answer over a standing connection until somebody is told; the first chunk may time out once.
+COMPLAINT_SECONDS = 10.0
 SHORTEST_BUSY_PAUSE_SECONDS = 0.01
 LONGEST_BUSY_PAUSE_SECONDS = 0.05
 
@@ -63,6 +67,7 @@ class ChunkUploader(Closing):
     """
 
     def __init__(self, session: zenoh.Session, run: str, actor: str, incarnation: int, capacity: int) -> None:
+        self._session = session
         self._actor = actor
         self._incarnation = incarnation
         self._window = UploadWindow(capacity)
@@ -71,6 +76,7 @@ class ChunkUploader(Closing):
         self._credits = 1
         self._answered = False  # whether the learner answered what was sent last
         self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
+        self._silent_since: float | None = None  # over a standing connection
         self._finished = False
         self._closed = threading.Event()
         self._cancel = zenoh.CancellationToken()
@@ -177,6 +183,7 @@ class ChunkUploader(Closing):
     def _settle(self, oldest: _UnderWay) -> None:
         """Wait for the answer to the oldest query and act on it."""
         outcome = self._outcome_of(oldest)
+        self._complain_about_silence(outcome)
         with self._changed:
             self._answered = outcome is not _Outcome.SILENCE
             self._changed.notify_all()
@@ -187,6 +194,23 @@ class ChunkUploader(Closing):
         while self._under_way:
             self._outcome_of(self._under_way.popleft())
         self._start_over(outcome)
+
+    def _complain_about_silence(self, outcome: _Outcome) -> None:
+        """Say once if a learner that is there does not answer: it drops what it does not allow in silence."""
+        if outcome is not _Outcome.SILENCE or not self._session.info.links():
+            self._silent_since = None
+            return
+        now = time.monotonic()
+        if self._silent_since is None:
+            self._silent_since = now
+        elif now - self._silent_since >= COMPLAINT_SECONDS:
+            self._silent_since = math.inf
+            _log.warning(
+                "the learner at %s is connected but takes no chunks of %s: see its log%s",
+                address_of(self._session),
+                self._actor,
+                doubt_about_certificate(self._session),
+            )
 
     def _start_over(self, outcome: _Outcome) -> None:
         """Begin again with what is held, after a pause that fits."""

@@ -13,7 +13,7 @@ from athrl_protocol.keys import EVERY_RUN_FILE, Keys, run_of
 from athrl_protocol.newest import NewestPublisher
 from athrl_protocol.run_file import RunFile
 from athrl_protocol.schema import decode_message, encode_message
-from athrl_protocol.session import address_of
+from athrl_protocol.session import address_of, doubt_about_certificate
 
 QUERY_SECONDS = 1.0
 PAUSE_SECONDS = 0.1
@@ -65,7 +65,7 @@ def fetch_run_file(
         if waited >= timeout or stop.wait(PAUSE_SECONDS):
             raise LearnerNotFound(
                 f"no learner serves {'a run' if run is None else f'run {run!r}'} at {address_of(session)} "
-                f"within {timeout:g} s: start it there"
+                f"within {timeout:g} s: start it there{doubt_about_certificate(session)}"
             )
 
 
