@@ -17,9 +17,19 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_COMMON = ("compilation.py", "maps/geometry.py", "maps/lane_graph.py", "traffic/*.py")
+_COMMON = ("compilation.py", "by_reference.py")
 _KERNEL_FILES = {
-    "town": ("reward.py", "control/*.py", "episode/*.py", "metrics/*.py", "perception/*.py", "route/*.py"),
+    "town": (
+        "reward.py",
+        "control/*.py",
+        "episode/*.py",
+        "maps/geometry.py",
+        "maps/lane_graph.py",
+        "metrics/*.py",
+        "perception/*.py",
+        "route/*.py",
+        "traffic/*.py",
+    ),
     "highway": ("highway/**/*.py",),
 }
 """The files of the two families of kernels, which are compiled into each other."""
@@ -39,25 +49,20 @@ def compiled(function: Function) -> Function:
 
 def inlined(function: Function) -> Function:
     """Compile a function that only compiled functions call, into its callers."""
-    return numba.njit(nogil=True, forceinline=True, no_cpython_wrapper=True)(function)
+    return numba.njit(nogil=True, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 
 
 def inner(function: Function) -> Function:
     """Compile a big function that several compiled functions call, once for all of them."""
-    return numba.njit(nogil=True, no_cpython_wrapper=True)(function)
+    return numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 
 
 def part(function: Function) -> Function:
-    """Put a function that only `whole` functions call into its callers before they are compiled.
+    """Compile a function that only compiled functions call, once for all of them, with few frills.
 
-    It makes no arrays and returns none: references to arrays are not counted, which costs more than what is
-    done with them. numba compiles it with its callers, not by itself, so it may take tuples of many arrays.
+    References to arrays are not counted, which costs more than what is done with the arrays, so it makes no
+    arrays and returns none. State of many arrays it takes by reference (`traffic.by_reference`).
     """
-    return numba.njit(inline="always", error_model="numpy", no_cpython_wrapper=True, _nrt=False)(function)
-
-
-def whole(function: Function) -> Function:
-    """Compile a big function made of `part` functions once for all its callers. It makes no arrays."""
     return numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, _nrt=False)(function)
 
 

@@ -4,7 +4,7 @@ import math
 
 from athrl_driving.compilation import compiled
 from athrl_driving.maps.lane_graph import Floats
-from athrl_driving.traffic.state import NOBODY, Background
+from athrl_driving.traffic.columns import NOBODY, Background
 
 LEVEL_HEIGHT = 2.5
 """Metres of elevation above which two vehicles are on different levels of a road."""

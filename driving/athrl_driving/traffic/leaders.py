@@ -2,84 +2,68 @@
 
 import math
 
-from athrl_driving.compilation import inlined
-from athrl_driving.maps.lane_graph import Integers, LaneGraph, Movements
-from athrl_driving.traffic.state import NOBODY, Background, EgoOnLanes, RightOfWay, Scratch
+from athrl_driving.compilation import part
+from athrl_driving.traffic.columns import NOBODY, Traffic
+from athrl_driving.traffic.nodes import owner
+from athrl_driving.traffic.rails import CURVE_BRAKING
 
 LOOK_AHEAD = 60.0
 """Metres of its path that a vehicle looks at."""
 
-_LONGEST_VEHICLE = 12.0
+_ROOM_TO_LET_IN = 3.0
 
 
-@inlined
-def sort_by_lane(background: Background, scratch: Scratch) -> None:
-    """List the vehicles of every lane."""
-    lanes, first, following = background.lane, scratch.first_on_lane, scratch.next_on_lane
-    first[:] = NOBODY
-    for vehicle in range(lanes.shape[0]):
-        lane = lanes[vehicle]
-        following[vehicle] = first[lane]
-        first[lane] = vehicle
+@part
+def look_ahead(traffic: Traffic, row: int, length: float, speed: float) -> None:
+    """Find the leader and the next movement of vehicle `row` (N: the ego), `length` m long, and note them.
 
-
-@inlined
-def look_ahead(
-    graph: LaneGraph,
-    movements: Movements,
-    background: Background,
-    right_of_way: RightOfWay,
-    covered: EgoOnLanes,
-    scratch: Scratch,
-    row: int,
-    path: Integers,
-    place: int,
-    s: float,
-    length: float,
-    sees_ego: bool,
-) -> None:
-    """Find the leader and the next movement of vehicle `row` (N: the ego) and note them.
-
-    It is at `s` metres on lane `path[place]` and `length` metres long. The leader is the nearest of: the
-    vehicles on the lanes of the path, those on ways that part from the path and have not left it with their
-    rear, and the ego where it covers a lane of the path.
+    The leader is the nearest of: who is on the links of the path, who is on ways that part from the path and
+    has not left it with its rear, and the ego where it covers a link of the path.
     """
-    lane_movement, lane_length, offset = graph.movement, graph.length, graph.movement_offset
-    along, first, following = background.s, scratch.first_on_lane, scratch.next_on_lane
+    background, right_of_way, scratch = traffic.background, traffic.right_of_way, traffic.scratch
+    covered, link_length = traffic.ego_on_links, traffic.rails.length
+    vehicles = background.lane.shape[0]
+    is_ego = row == vehicles
+    ways = right_of_way.holders.shape[0]
     gap, leader_speed, leader, leader_middle = math.inf, 0.0, NOBODY, math.inf
     ahead, line = NOBODY, math.inf
-    base = -s
-    present = lane_movement[path[place]]
-    for index in range(place, path.shape[0]):
-        lane = path[index]
-        if lane < 0:
+    base, until = 0.0, math.inf
+    if not is_ego:
+        base = -scratch.position[row]
+    places = covered.path_link.shape[0] if is_ego else background.path.shape[1]
+    for place in range(places):
+        if is_ego:
+            link, base, until = covered.path_link[place], covered.path_base[place], covered.path_until[place]
+        else:
+            link = background.path[row, place]
+        if link < 0 or base > LOOK_AHEAD:
             break
-        movement = lane_movement[lane]
-        if movement >= 0 and movement != present and ahead == NOBODY:
-            ahead, line = movement, base - 0.5 * length
+        if place > 0 and link < ways and ahead == NOBODY:
+            ahead, line = link, base - 0.5 * length
         if leader == NOBODY:
-            other = first[lane]
-            while other != NOBODY:
-                middle = base + along[other]
-                if 0.0 < middle < leader_middle and other != row:
-                    leader, leader_middle = other, middle
-                other = following[other]
-            if movement >= 0 and (index == place or offset[lane] == 0.0):
-                start = base - offset[lane]
-                other = _parting(graph, movements, background, scratch, movement, start, leader_middle)
-                if other != NOBODY:
-                    leader, leader_middle = other, start + offset[background.lane[other]] + along[other]
+            node = scratch.first[link]
+            if place == 0 and not is_ego:
+                node = scratch.following[row]
+            node = _first_to_heed(traffic, node, row, base, until, length, speed)
+            if node != NOBODY:
+                leader = owner(node, vehicles)
+                leader_middle = base + scratch.position[node]
+            if link < ways:
+                node = _parting(traffic, link, base, leader_middle)
+                if node != NOBODY:
+                    leader = node
+                    leader_middle = base + scratch.position[node]
             if leader != NOBODY:
                 gap = leader_middle - 0.5 * (length + background.length[leader])
                 leader_speed = background.speed[leader]
-            if sees_ego and covered.rear[lane] < math.inf:
-                middle = base + 0.5 * (covered.rear[lane] + covered.front[lane])
-                ego_gap = base + covered.rear[lane] - 0.5 * length
+            if not is_ego and covered.rear[link] < math.inf:
+                middle = base + 0.5 * (covered.rear[link] + covered.front[link])
+                ego_gap = base + covered.rear[link] - 0.5 * length
                 if middle > 0.0 and ego_gap < gap:
-                    gap, leader_middle, leader_speed = ego_gap, middle, covered.speed[lane]
-                    leader = along.shape[0]
-        base += lane_length[lane]
-        if base > LOOK_AHEAD or (leader != NOBODY and ahead != NOBODY):
+                    gap, leader_middle, leader_speed = ego_gap, middle, covered.speed[link]
+                    leader = vehicles
+        base += link_length[link]
+        if leader != NOBODY and ahead != NOBODY:
             break
     scratch.gap[row], scratch.leader_speed[row] = gap, leader_speed
     right_of_way.ahead[row], right_of_way.line_distance[row] = ahead, line
@@ -88,32 +72,71 @@ def look_ahead(
     scratch.held_up[row] = before_line and right_of_way.granted[leader] == NOBODY
 
 
-@inlined
-def _parting(
-    graph: LaneGraph,
-    movements: Movements,
-    background: Background,
-    scratch: Scratch,
-    movement: int,
-    base: float,
-    nearer_than: float,
+@part
+def _first_to_heed(
+    traffic: Traffic, node: int, row: int, base: float, until: float, length: float, speed: float
 ) -> int:
+    """Return the first of the nodes from `node` on that is ahead and no request to be let in too late."""
+    scratch, asks = traffic.scratch, traffic.lane_changes.asks
+    vehicles = asks.shape[0]
+    while node != NOBODY:
+        position = scratch.position[node]
+        if position >= until:
+            return NOBODY
+        middle = base + position
+        if owner(node, vehicles) != row and middle > 0.0:
+            if node < vehicles or not asks[node - vehicles]:
+                return node
+            room = middle - length - _ROOM_TO_LET_IN
+            if row < vehicles and room > speed * speed / (2.0 * CURVE_BRAKING):
+                return node
+        node = scratch.following[node]
+    return NOBODY
+
+
+@part
+def _parting(traffic: Traffic, movement: int, base: float, nearer_than: float) -> int:
     """Return the nearest vehicle ahead on a way from the same origin that still covers some of `movement`.
 
     `base` is the distance (m) to where the ways start.
     """
+    movements, scratch, lengths = traffic.movements, traffic.scratch, traffic.background.length
     found = NOBODY
     for index in range(movements.sibling_start[movement], movements.sibling_start[movement + 1]):
-        sibling, shared = movements.sibling[index], movements.shared[index]
-        for place in range(movements.lane_start[sibling], movements.lane_start[sibling + 1]):
-            lane = movements.lane[place]
-            if graph.movement_offset[lane] > shared + 0.5 * _LONGEST_VEHICLE:
+        node = scratch.first[movements.sibling[index]]
+        while node != NOBODY:
+            middle = base + scratch.position[node]
+            if middle >= nearer_than:
                 break
-            other = scratch.first_on_lane[lane]
-            while other != NOBODY:
-                driven = graph.movement_offset[lane] + background.s[other]
-                middle = base + driven
-                if driven - 0.5 * background.length[other] < shared and 0.0 < middle < nearer_than:
-                    found, nearer_than = other, middle
-                other = scratch.next_on_lane[other]
+            if middle > 0.0 and scratch.position[node] - 0.5 * lengths[node] < movements.shared[index]:
+                found, nearer_than = node, middle
+                break
+            node = scratch.following[node]
     return found
+
+
+@part
+def look_beside(traffic: Traffic, row: int, length: float) -> None:
+    """Find the leader of a changing vehicle on the lane that it has not left yet."""
+    background, scratch, covered = traffic.background, traffic.scratch, traffic.ego_on_links
+    vehicles = background.lane.shape[0]
+    node = vehicles + row
+    gap, leader_speed = math.inf, 0.0
+    link = scratch.link[node]
+    if link != NOBODY and not traffic.lane_changes.asks[row]:
+        position = scratch.position[node]
+        other = scratch.following[node]
+        while other != NOBODY and (
+            owner(other, vehicles) == row
+            or (other >= vehicles and traffic.lane_changes.asks[other - vehicles])
+        ):
+            other = scratch.following[other]
+        if other != NOBODY:
+            leader = owner(other, vehicles)
+            gap = scratch.position[other] - position - 0.5 * (length + background.length[leader])
+            leader_speed = background.speed[leader]
+        if covered.rear[link] < math.inf and 0.5 * (covered.rear[link] + covered.front[link]) > position:
+            ego_gap = covered.rear[link] - position - 0.5 * length
+            if ego_gap < gap:
+                gap, leader_speed = ego_gap, covered.speed[link]
+    scratch.side_gap[row], scratch.side_speed[row] = gap, leader_speed

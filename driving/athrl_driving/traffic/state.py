@@ -1,141 +1,37 @@
-"""The traffic of E environments as a structure of arrays; what the kernels read and write.
-
-Every array of `Background`, `RightOfWay`, `EgoOnLanes` and `Scratch` has a leading environment axis, which
-the shapes below leave out: `environment_traffic` gives one environment's view, what kernels work on.
-"""
-
-from typing import NamedTuple
+"""The traffic's arrays: made for a batch of environments, and seen as one environment's."""
 
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
-from numpy.typing import NDArray
 
 from athrl_driving.compilation import inlined
 from athrl_driving.maps import Town
-from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph, Movements
+from athrl_driving.traffic.columns import (
+    EGO_FIELDS,
+    NOBODY,
+    PATH_LENGTH,
+    Background,
+    EgoOnLinks,
+    LaneChanges,
+    RightOfWay,
+    Scratch,
+    Traffic,
+)
+from athrl_driving.traffic.rails import Rails, lay_rails
 
-PATH_LENGTH = 20
-"""Lanes that a vehicle plans ahead, its own first: more than the look-ahead reaches."""
+EGO_PATH_LENGTH = 64
+"""Links of the ego's path that are looked at."""
 
-EGO_FIELDS = 8
-"""The ego is float64 [8]: x, y m, heading rad, speed m/s, length, width, elevation m, present (1 or 0)."""
+_RAILS: dict[int, tuple[Town, Rails]] = {}
 
-NOBODY = -1
-
-
-class Background(NamedTuple):
-    """The background vehicles; a row is a vehicle."""
-
-    x: Floats
-    """[N] m, the centre."""
-    y: Floats
-    """[N] m."""
-    heading: Floats
-    """[N] rad."""
-    elevation: Floats
-    """[N] m."""
-    speed: Floats
-    """[N] m/s."""
-    length: Floats
-    """[N] m."""
-    width: Floats
-    """[N] m."""
-    lane: Integers
-    """[N] row of the lane graph."""
-    s: Floats
-    """[N] m along the lane."""
-    offset: Floats
-    """[N] m beside the lane's centre line, positive to the right; not 0 while it changes lanes."""
-    acceleration: Floats
-    """[N] m/s2, of the last tick."""
-    desired_speed: Floats
-    """[N] m/s on a free road."""
-    crashed: NDArray[np.bool_]
-    """[N] hit by the ego."""
-    path: Integers
-    """[N, PATH_LENGTH] the lanes ahead, the present one first."""
-    random_state: NDArray[np.uint64]
-    """[N] each vehicle's own random numbers, so that its turns do not depend on the order of the others."""
-
-
-class RightOfWay(NamedTuple):
-    """Who may cross which junction. Rows 0..N-1 are the background vehicles, row N is the ego."""
-
-    crossing: Integers
-    """[N+1] the movement that the vehicle is on, until its rear has left it; -1 none."""
-    granted: Integers
-    """[N+1] the movement ahead that it holds; -1 none."""
-    granted_at: Floats
-    """[N+1] s."""
-    ahead: Integers
-    """[N+1] the next movement on its path; -1 where none is near."""
-    line_distance: Floats
-    """[N+1] m from its front to the stop line of `ahead`; infinite where none is near."""
-    waiting_since: Floats
-    """[N+1] s since when it asks for `ahead`; infinite while it does not ask."""
-    holders: Integers
-    """[M] vehicles that hold or cross a movement."""
-    rearmost: Floats
-    """[M] m along the movement to the rear of its last vehicle; minus infinity before that enters."""
-    inbound: Integers
-    """[L] vehicles that hold a movement to this lane and have not arrived on it."""
-    claimed: NDArray[np.bool_]
-    """[M] somebody who waits longer than the present one wants this movement."""
-
-
-class EgoOnLanes(NamedTuple):
-    """The ego as an obstacle: what its body covers of every lane."""
-
-    rear: Floats
-    """[L] m along the lane to the nearest point of the body on the lane; infinite where there is none."""
-    front: Floats
-    """[L] m to the farthest point."""
-    speed: Floats
-    """[L] m/s along the lane."""
-    blocks: Integers
-    """[M] 0 not on the movement, 1 it covers a part of it, 2 it drives along it."""
-    lanes: Integers
-    """[L] the covered lanes."""
-    movements: Integers
-    """[M] the covered movements."""
-    counts: Integers
-    """[2] of covered lanes and movements."""
-
-
-class Scratch(NamedTuple):
-    """Room for what is computed anew in every tick."""
-
-    first_on_lane: Integers
-    """[L] a vehicle on the lane, or -1."""
-    next_on_lane: Integers
-    """[N] another vehicle on the same lane, or -1."""
-    gap: Floats
-    """[N+1] m from bumper to bumper to the leader; infinite without one."""
-    leader_speed: Floats
-    """[N+1] m/s along the path."""
-    held_up: NDArray[np.bool_]
-    """[N+1] the leader is before the stop line and holds no right to cross."""
-    order: Integers
-    """[N+1] the vehicles that ask for a movement, who is served first in front."""
-    clock: Floats
-    """[1] s since the episode's start."""
-
-
-class Traffic(NamedTuple):
-    """Everything that a tick needs."""
-
-    graph: LaneGraph
-    movements: Movements
-    pace: Floats
-    """[L] m/s: the speed limit, or what the curve allows."""
-    background: Background
-    right_of_way: RightOfWay
-    ego_on_lanes: EgoOnLanes
-    scratch: Scratch
-
-
-CURVE_ACCELERATION = 2.2
-"""m/s2 sideways that background vehicles accept in a curve."""
+__all__ = [
+    "EGO_FIELDS",
+    "NOBODY",
+    "Background",
+    "Traffic",
+    "environment_traffic",
+    "environment_views",
+    "new_traffic",
+]
 
 
 def new_traffic(
@@ -151,22 +47,26 @@ def new_traffic(
     """
     if count < 0:
         raise ValueError(f"vehicles_count is {count}, but it must be 0 or more")
-    graph, movements = town.graph, town.movements
+    rails = _rails_of(town)
+    links, ways = len(rails.length), len(rails.later)
     return Traffic(
-        graph=graph,
-        movements=movements,
-        pace=_pace(graph),
+        graph=town.graph,
+        movements=town.movements,
+        signals=town.signals,
+        rails=rails,
         background=_new_background((environments, count), length, width),
-        right_of_way=_new_right_of_way(environments, count, len(graph.length), len(movements.length)),
-        ego_on_lanes=_new_ego_on_lanes(environments, len(graph.length), len(movements.length)),
-        scratch=_new_scratch(environments, count, len(graph.length)),
+        lane_changes=_new_lane_changes((environments, count)),
+        right_of_way=_new_right_of_way(environments, count, links, ways),
+        ego_on_links=_new_ego_on_links(environments, links, ways),
+        scratch=_new_scratch(environments, count, links),
     )
 
 
-def _pace(graph: LaneGraph) -> Floats:
-    with np.errstate(divide="ignore"):
-        curve_speed = np.sqrt(CURVE_ACCELERATION / np.abs(graph.curvature))
-    return np.minimum(graph.speed_limit, curve_speed)
+def _rails_of(town: Town) -> Rails:
+    """Return the town's rails, made once; the town is kept with them, so that its id stays its own."""
+    if id(town) not in _RAILS:
+        _RAILS[id(town)] = town, lay_rails(town)
+    return _RAILS[id(town)][1]
 
 
 def _new_background(shape: tuple[int, int], length: float, width: float) -> Background:
@@ -184,12 +84,24 @@ def _new_background(shape: tuple[int, int], length: float, width: float) -> Back
         acceleration=np.zeros(shape),
         desired_speed=np.zeros(shape),
         crashed=np.zeros(shape, np.bool_),
-        path=np.zeros((*shape, PATH_LENGTH), np.int64),
+        path=np.full((*shape, PATH_LENGTH), NOBODY),
         random_state=np.zeros(shape, np.uint64),
     )
 
 
-def _new_right_of_way(environments: int, count: int, lanes: int, ways: int) -> RightOfWay:
+def _new_lane_changes(shape: tuple[int, int]) -> LaneChanges:
+    return LaneChanges(
+        start_offset=np.zeros(shape),
+        driven=np.zeros(shape),
+        over=np.zeros(shape),
+        side=np.zeros(shape, np.int64),
+        asks=np.zeros(shape, np.bool_),
+        wanted_since=np.full(shape, np.inf),
+        next_thought=np.zeros(shape),
+    )
+
+
+def _new_right_of_way(environments: int, count: int, links: int, ways: int) -> RightOfWay:
     rows = (environments, count + 1)
     return RightOfWay(
         crossing=np.full(rows, NOBODY),
@@ -200,45 +112,65 @@ def _new_right_of_way(environments: int, count: int, lanes: int, ways: int) -> R
         waiting_since=np.full(rows, np.inf),
         holders=np.zeros((environments, ways), np.int64),
         rearmost=np.full((environments, ways), np.inf),
-        inbound=np.zeros((environments, lanes), np.int64),
+        inbound=np.zeros((environments, links), np.int64),
         claimed=np.zeros((environments, ways), np.bool_),
     )
 
 
-def _new_ego_on_lanes(environments: int, lanes: int, ways: int) -> EgoOnLanes:
-    return EgoOnLanes(
-        rear=np.full((environments, lanes), np.inf),
-        front=np.full((environments, lanes), -np.inf),
-        speed=np.zeros((environments, lanes)),
+def _new_ego_on_links(environments: int, links: int, ways: int) -> EgoOnLinks:
+    return EgoOnLinks(
+        rear=np.full((environments, links), np.inf),
+        front=np.full((environments, links), -np.inf),
+        speed=np.zeros((environments, links)),
         blocks=np.zeros((environments, ways), np.int64),
-        lanes=np.zeros((environments, lanes), np.int64),
-        movements=np.zeros((environments, ways), np.int64),
-        counts=np.zeros((environments, 2), np.int64),
+        links=np.zeros((environments, links), np.int64),
+        covered=np.zeros((environments, 1), np.int64),
+        path_link=np.full((environments, EGO_PATH_LENGTH), NOBODY),
+        path_base=np.zeros((environments, EGO_PATH_LENGTH)),
+        path_until=np.zeros((environments, EGO_PATH_LENGTH)),
     )
 
 
-def _new_scratch(environments: int, count: int, lanes: int) -> Scratch:
-    rows = (environments, count + 1)
+def _new_scratch(environments: int, count: int, links: int) -> Scratch:
+    rows, nodes = (environments, count + 1), (environments, 2 * count)
     return Scratch(
-        first_on_lane=np.full((environments, lanes), NOBODY),
-        next_on_lane=np.full((environments, count), NOBODY),
+        first=np.full((environments, links), NOBODY),
+        last=np.full((environments, links), NOBODY),
+        following=np.full(nodes, NOBODY),
+        preceding=np.full(nodes, NOBODY),
+        link=np.full(nodes, NOBODY),
+        position=np.zeros(nodes),
         gap=np.full(rows, np.inf),
         leader_speed=np.zeros(rows),
+        side_gap=np.full((environments, count), np.inf),
+        side_speed=np.zeros((environments, count)),
         held_up=np.zeros(rows, np.bool_),
         order=np.zeros(rows, np.int64),
         clock=np.zeros((environments, 1)),
     )
 
 
+def environment_views(traffic: Traffic, e: int) -> Traffic:
+    """Return the same as `environment_traffic`, for Python."""
+    return traffic._replace(
+        background=Background(*(column[e] for column in traffic.background)),
+        lane_changes=LaneChanges(*(column[e] for column in traffic.lane_changes)),
+        right_of_way=RightOfWay(*(column[e] for column in traffic.right_of_way)),
+        ego_on_links=EgoOnLinks(*(column[e] for column in traffic.ego_on_links)),
+        scratch=Scratch(*(column[e] for column in traffic.scratch)),
+    )
+
+
 @inlined
 def environment_traffic(traffic: Traffic, e: int) -> Traffic:
     """Return the view of environment `e`: the same memory without the environment axis."""
-    background, right_of_way = traffic.background, traffic.right_of_way
-    covered, scratch = traffic.ego_on_lanes, traffic.scratch
+    background, changes, right_of_way = traffic.background, traffic.lane_changes, traffic.right_of_way
+    covered, scratch = traffic.ego_on_links, traffic.scratch
     return Traffic(
         traffic.graph,
         traffic.movements,
-        traffic.pace,
+        traffic.signals,
+        traffic.rails,
         Background(
             background.x[e],
             background.y[e],
@@ -256,6 +188,15 @@ def environment_traffic(traffic: Traffic, e: int) -> Traffic:
             background.path[e],
             background.random_state[e],
         ),
+        LaneChanges(
+            changes.start_offset[e],
+            changes.driven[e],
+            changes.over[e],
+            changes.side[e],
+            changes.asks[e],
+            changes.wanted_since[e],
+            changes.next_thought[e],
+        ),
         RightOfWay(
             right_of_way.crossing[e],
             right_of_way.granted[e],
@@ -268,32 +209,30 @@ def environment_traffic(traffic: Traffic, e: int) -> Traffic:
             right_of_way.inbound[e],
             right_of_way.claimed[e],
         ),
-        EgoOnLanes(
+        EgoOnLinks(
             covered.rear[e],
             covered.front[e],
             covered.speed[e],
             covered.blocks[e],
-            covered.lanes[e],
-            covered.movements[e],
-            covered.counts[e],
+            covered.links[e],
+            covered.covered[e],
+            covered.path_link[e],
+            covered.path_base[e],
+            covered.path_until[e],
         ),
         Scratch(
-            scratch.first_on_lane[e],
-            scratch.next_on_lane[e],
+            scratch.first[e],
+            scratch.last[e],
+            scratch.following[e],
+            scratch.preceding[e],
+            scratch.link[e],
+            scratch.position[e],
             scratch.gap[e],
             scratch.leader_speed[e],
+            scratch.side_gap[e],
+            scratch.side_speed[e],
             scratch.held_up[e],
             scratch.order[e],
             scratch.clock[e],
         ),
-    )
-
-
-def environment_views(traffic: Traffic, e: int) -> Traffic:
-    """Return the same as `environment_traffic`, for Python."""
-    return traffic._replace(
-        background=Background(*(column[e] for column in traffic.background)),
-        right_of_way=RightOfWay(*(column[e] for column in traffic.right_of_way)),
-        ego_on_lanes=EgoOnLanes(*(column[e] for column in traffic.ego_on_lanes)),
-        scratch=Scratch(*(column[e] for column in traffic.scratch)),
     )

@@ -1,33 +1,30 @@
-"""One tick of the traffic: everybody looks, the junctions are served, everybody accelerates, everybody moves.
+"""One tick of the traffic: some begin to change lanes, everybody looks, the junctions are served, all move.
 
-Background vehicles drive on rails: they keep to the centre line of the lanes of their path and change their
-speed only. They do not change lanes beside each other; where a street has two lanes, the turn before it
-decides which one they take. All decisions see the state before the tick.
+Background vehicles drive on rails: along the centre line of their link, or on their way to it from the link
+beside. All decisions see the state before the tick.
 """
 
 import math
 
-from athrl_driving.compilation import compiled, inlined, inner
-from athrl_driving.maps.geometry import lane_pose
-from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
-from athrl_driving.traffic.ego import cover_lanes, forget_ego, locate_on_path
+from athrl_driving.compilation import compiled, inner, part
+from athrl_driving.maps.lane_graph import Floats, Integers
+from athrl_driving.traffic.by_reference import by_reference
+from athrl_driving.traffic.columns import NOBODY, Traffic
+from athrl_driving.traffic.ego import cover_links, follow_path, forget_ego, note_crossing
 from athrl_driving.traffic.following import (
     LARGEST_ACCELERATION,
     REFERENCE_LENGTH,
     approach_speed,
     idm_acceleration,
 )
-from athrl_driving.traffic.leaders import look_ahead, sort_by_lane
+from athrl_driving.traffic.geometry import lane_elevation, lane_pose
+from athrl_driving.traffic.lane_changes import change_lanes, shift
+from athrl_driving.traffic.leaders import look_ahead, look_beside
+from athrl_driving.traffic.nodes import sort_onto_links
 from athrl_driving.traffic.paths import drop_first
-from athrl_driving.traffic.right_of_way import LINE_BRAKING, ask, count_holders, serve
-from athrl_driving.traffic.state import (
-    NOBODY,
-    Background,
-    RightOfWay,
-    Scratch,
-    Traffic,
-    environment_traffic,
-)
+from athrl_driving.traffic.rails import CURVE_BRAKING
+from athrl_driving.traffic.right_of_way import ask, count_holders, serve
+from athrl_driving.traffic.state import environment_traffic
 
 LINE_MARGIN = 0.5
 """Metres between a waiting vehicle's front and the stop line."""
@@ -48,124 +45,147 @@ def advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> Non
     `traffic` is a view without the environment axis. `ego` is float64 [8] (see `EGO_FIELDS`). `ego_path`
     holds rows of the lane graph that the ego will drive, its present one among the first, padded with -1.
     """
-    graph, movements, background = traffic.graph, traffic.movements, traffic.background
-    right_of_way, covered, scratch = traffic.right_of_way, traffic.ego_on_lanes, traffic.scratch
+    _advance(by_reference(traffic), ego, ego_path, dt)
+
+
+@part
+def _advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> None:
+    background, changes, covered = traffic.background, traffic.lane_changes, traffic.ego_on_links
     vehicles = background.lane.shape[0]
     present = ego[7] > 0.0
-    sort_by_lane(background, scratch)
+    sort_onto_links(traffic.graph, traffic.rails, background, changes, traffic.scratch)
     forget_ego(covered)
+    covered.path_link[0] = NOBODY
     if present:
-        cover_lanes(graph, covered, ego)
+        cover_links(traffic.graph, traffic.rails, covered, ego)
+        follow_path(traffic.graph, traffic.rails, covered, ego, ego_path)
+        note_crossing(traffic.right_of_way, covered, vehicles, ego[4])
+    else:
+        traffic.right_of_way.crossing[vehicles] = NOBODY
+    if dt > 0.0:
+        change_lanes(traffic, ego)
     for row in range(vehicles + 1):
-        place, s, length, path = 0, 0.0, 0.0, ego_path
+        length, speed = ego[4], ego[3]
         if row < vehicles:
-            path, s, length = background.path[row], background.s[row], background.length[row]
-        elif present:
-            place, s = locate_on_path(graph, ego, ego_path)
-            length = ego[4]
-            _note_crossing(graph, right_of_way, row, ego_path, place, s - 0.5 * length)
-        else:
-            place = NOBODY
-        if place < path.shape[0] and place >= 0:
-            look_ahead(
-                graph, movements, background, right_of_way, covered, scratch,
-                row, path, place, s, length, row < vehicles,
-            )  # fmt: skip
-        else:
-            _see_nothing(right_of_way, scratch, row)
+            length, speed = background.length[row], background.speed[row]
+            if changes.over[row] > 0.0:
+                look_beside(traffic, row, length)
+        look_ahead(traffic, row, length, speed)
     if dt == 0.0:
         return
-    for row in range(vehicles):
-        ask(right_of_way, scratch, row, background.speed[row])
-    ask(right_of_way, scratch, vehicles, ego[3] if present else 0.0)
-    count_holders(graph, movements, background, right_of_way)
-    serve(graph, movements, background, right_of_way, covered, scratch)
-    _accelerate(graph, traffic.pace, background, right_of_way, scratch, dt)
-    _move(graph, background, right_of_way, dt)
-    scratch.clock[0] += dt
+    for row in range(vehicles + 1):
+        ask(traffic, row, background.speed[row] if row < vehicles else ego[3])
+    count_holders(traffic)
+    serve(traffic)
+    _accelerate(traffic, dt)
+    _move(traffic, dt)
+    traffic.scratch.clock[0] += dt
 
 
-@inlined
-def _see_nothing(right_of_way: RightOfWay, scratch: Scratch, row: int) -> None:
-    """Note that the ego is off its path."""
-    right_of_way.ahead[row] = NOBODY
-    right_of_way.line_distance[row] = math.inf
-    scratch.gap[row] = math.inf
-    scratch.held_up[row] = False
-
-
-@inlined
-def _note_crossing(
-    graph: LaneGraph, right_of_way: RightOfWay, row: int, path: Integers, place: int, rear: float
-) -> None:
-    """Note the movement that the ego is on, until its rear (m along the lane) has left it."""
-    movement = graph.movement[path[place]] if place >= 0 else NOBODY
-    if movement >= 0:
-        right_of_way.crossing[row] = movement
-        if right_of_way.granted[row] == movement:
-            right_of_way.granted[row] = NOBODY
-    elif place < 0 or rear > 0.0:
-        right_of_way.crossing[row] = NOBODY
-
-
-@inlined
-def _accelerate(
-    graph: LaneGraph,
-    pace: Floats,
-    background: Background,
-    right_of_way: RightOfWay,
-    scratch: Scratch,
-    dt: float,
-) -> None:
+@part
+def _accelerate(traffic: Traffic, dt: float) -> None:
     """Set everybody's car-following acceleration, limited by what curves, stop lines and safety allow."""
-    paths, lane_length, speeds = background.path, graph.length, background.speed
-    for row in range(speeds.shape[0]):
-        speed, gap, leader_speed = speeds[row], scratch.gap[row], scratch.leader_speed[row]
-        driven = speed * dt
-        target = min(background.desired_speed[row], pace[paths[row, 0]])
+    background, right_of_way, scratch, rails = (
+        traffic.background,
+        traffic.right_of_way,
+        traffic.scratch,
+        traffic.rails,
+    )
+    for row in range(background.speed.shape[0]):
+        speed, lane = background.speed[row], background.lane[row]
+        target = min(background.desired_speed[row], rails.pace[lane])
+        gap, leader_speed = scratch.gap[row], scratch.leader_speed[row]
         acceleration = idm_acceleration(speed, target, gap + REFERENCE_LENGTH, leader_speed)
-        allowed = math.inf
-        if gap <= _LEAST_GAP:
-            allowed = 0.0
-        elif gap < math.inf:
-            distance = gap - _LEAST_GAP - driven
-            allowed = approach_speed(distance, max(leader_speed, 0.0), LARGEST_ACCELERATION, dt)
+        allowed = _allowed_behind(gap, leader_speed, speed, dt)
+        if traffic.lane_changes.over[row] > 0.0 and scratch.side_gap[row] < math.inf:
+            gap, leader_speed = scratch.side_gap[row], scratch.side_speed[row]
+            beside = idm_acceleration(speed, target, gap + REFERENCE_LENGTH, leader_speed)
+            acceleration = min(acceleration, beside)
+            allowed = min(allowed, _allowed_behind(gap, leader_speed, speed, dt))
         ahead = right_of_way.ahead[row]
         if ahead != NOBODY and right_of_way.granted[row] != ahead:
-            line = right_of_way.line_distance[row] - LINE_MARGIN - driven
-            allowed = min(allowed, approach_speed(line, 0.0, LINE_BRAKING, dt))
+            line = right_of_way.line_distance[row] - LINE_MARGIN - speed * dt
+            allowed = min(allowed, approach_speed(line, 0.0, CURVE_BRAKING, dt))
         if background.crashed[row]:
             allowed = 0.0
-        base = lane_length[paths[row, 0]] - background.s[row] - driven
-        for place in range(1, paths.shape[1]):
-            # Beyond its braking distance no curve matters.
-            if base > speed * speed / (2.0 * LINE_BRAKING) + driven:
-                break
-            lane = paths[row, place]
-            if pace[lane] < speed:
-                allowed = min(allowed, approach_speed(base, pace[lane], LINE_BRAKING, dt))
-            base += lane_length[lane]
+        allowed = min(allowed, _allowed_by_the_road(traffic, row, lane, speed, dt))
         acceleration = min(acceleration, (allowed - speed) / dt, LARGEST_ACCELERATION)
         background.acceleration[row] = max(acceleration, -LARGEST_ACCELERATION, -speed / dt)
 
 
-@inlined
-def _move(graph: LaneGraph, background: Background, right_of_way: RightOfWay, dt: float) -> None:
+@part
+def _allowed_behind(gap: float, leader_speed: float, speed: float, dt: float) -> float:
+    """Return the greatest next speed (m/s) that lets a vehicle stop behind a leader that brakes hard."""
+    if gap <= _LEAST_GAP:
+        return 0.0
+    if gap == math.inf:
+        return math.inf
+    return approach_speed(gap - _LEAST_GAP - speed * dt, max(leader_speed, 0.0), LARGEST_ACCELERATION, dt)
+
+
+@part
+def _allowed_by_the_road(traffic: Traffic, row: int, lane: int, speed: float, dt: float) -> float:
+    """Return the greatest next speed for the curves within braking distance, and for a lane's end."""
+    background, rails = traffic.background, traffic.rails
+    link, place = rails.link[lane], rails.place[lane]
+    driven = speed * dt
+    braking = speed * speed / (2.0 * CURVE_BRAKING) + driven
+    allowed = math.inf
+    base = traffic.graph.length[lane] - background.s[row] - driven
+    if place + 1 < rails.row_start[link + 1] and base < braking:
+        entry = rails.entry_speed[rails.rows[place + 1]]
+        if entry < speed:
+            allowed = min(allowed, approach_speed(base, entry, CURVE_BRAKING, dt))
+    at = rails.link_offset[lane] + background.s[row]
+    base = rails.length[link] - at - driven
+    if rails.room[link] < rails.length[link]:
+        front = rails.room[link] - at - 0.5 * background.length[row] - driven
+        allowed = min(allowed, approach_speed(front, 0.0, CURVE_BRAKING, dt))
+    for index in range(1, background.path.shape[1]):
+        link = background.path[row, index]
+        if base > braking or link == NOBODY:
+            break
+        entry = rails.entry_speed[rails.rows[rails.row_start[link]]]
+        if entry < speed:
+            allowed = min(allowed, approach_speed(base, entry, CURVE_BRAKING, dt))
+        base += rails.length[link]
+    return allowed
+
+
+@part
+def _move(traffic: Traffic, dt: float) -> None:
     """Drive on along the paths, as highway-env integrates: first the position, then the speed."""
-    lanes, speeds, lane_length = background.lane, background.speed, graph.length
-    for row in range(lanes.shape[0]):
-        s = background.s[row] + speeds[row] * dt
-        speeds[row] += background.acceleration[row] * dt
-        lane = lanes[row]
-        while s > lane_length[lane]:
-            s -= lane_length[lane]
-            drop_first(graph, background, row)
-            lane = background.path[row, 0]
-            movement = graph.movement[lane]
-            if movement >= 0 and right_of_way.crossing[row] != movement:
-                right_of_way.crossing[row] = movement
+    background, rails, graph = traffic.background, traffic.rails, traffic.graph
+    right_of_way, changes = traffic.right_of_way, traffic.lane_changes
+    for row in range(background.lane.shape[0]):
+        driven = background.speed[row] * dt
+        s, lane = background.s[row] + driven, background.lane[row]
+        background.speed[row] += background.acceleration[row] * dt
+        while s > graph.length[lane]:
+            following = rails.place[lane] + 1
+            if following < rails.row_start[rails.link[lane] + 1]:
+                s -= graph.length[lane]
+                lane = rails.rows[following]
+                continue
+            link = background.path[row, 1]
+            if link == NOBODY:
+                s = graph.length[lane]
+                break
+            s -= graph.length[lane]
+            drop_first(rails, background, row)
+            lane = rails.rows[rails.row_start[link]]
+            if link < rails.later.shape[0]:
+                right_of_way.crossing[row] = link
                 right_of_way.granted[row] = NOBODY
-        if graph.movement[lane] < 0 and s > 0.5 * background.length[row]:
+        link = rails.link[lane]
+        if link >= rails.later.shape[0] and rails.link_offset[lane] + s > 0.5 * background.length[row]:
             right_of_way.crossing[row] = NOBODY
-        lanes[row], background.s[row] = lane, s
-        background.x[row], background.y[row], background.heading[row] = lane_pose(graph, lane, s)
+        background.lane[row], background.s[row] = lane, s
+        x, y, heading = lane_pose(graph, lane, s)
+        if changes.over[row] > 0.0:
+            angle = shift(traffic, row, driven)
+            x -= background.offset[row] * math.sin(heading)
+            y += background.offset[row] * math.cos(heading)
+            heading += angle
+        background.x[row], background.y[row], background.heading[row] = x, y, heading
+        background.elevation[row] = lane_elevation(graph, lane, s)

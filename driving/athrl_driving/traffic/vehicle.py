@@ -68,7 +68,7 @@ class BackgroundVehicle(IDMVehicle):
 
     @property
     def target_lane_index(self) -> tuple[str, str, int]:
-        """The same lane: it never changes to a neighbour."""
+        """The same lane: from the begin of a change it is on the new one."""
         return self.lane_index
 
     @property
