@@ -1,6 +1,7 @@
 """The compiled functions that Python calls: a road's `act` and `step`, and its questions."""
 
 from athrl_driving.highway.compiling import entry
+from athrl_driving.by_reference import by_reference
 from athrl_driving.highway.behaviour import act_all
 from athrl_driving.highway.collisions import collide_all
 from athrl_driving.highway.columns import FAILED_ROW, LANE, NONE, Integers, Rows, Scratch
@@ -19,8 +20,9 @@ def act(
 ) -> bool:
     """Let all vehicles decide; False where a route leads nowhere, for the row `scratch.counters[FAILED_ROW]`."""
     count = vehicles + objects
-    begin_frame(rows, network, scratch, count)
-    failed = act_all(rows, network, scratch, vehicles, count, connected)
+    of_rows, of_network, of_scratch = by_reference(rows), by_reference(network), by_reference(scratch)
+    begin_frame(of_rows, of_network, of_scratch, count)
+    failed = act_all(of_rows, of_network, of_scratch, vehicles, count, connected)
     scratch.counters[FAILED_ROW] = failed
     return failed == NONE
 
@@ -40,17 +42,18 @@ def step(
 
     False where a route leads nowhere, for the row `scratch.counters[FAILED_ROW]`.
     """
+    of_rows, of_network, of_scratch = by_reference(rows), by_reference(network), by_reference(scratch)
     if regulated:
-        failed = enforce_road_rules(rows, network, scratch, vehicles, yield_duration)
+        failed = enforce_road_rules(of_rows, of_network, of_scratch, vehicles, yield_duration)
         scratch.counters[FAILED_ROW] = failed
         if failed != NONE:
             return False
-    move_all(rows, network, vehicles, dt)
-    collide_all(rows, scratch, vehicles, vehicles + objects, dt)
+    move_all(of_rows, of_network, vehicles, dt)
+    collide_all(of_rows, of_scratch, vehicles, vehicles + objects, dt)
     return True
 
 
 @entry
 def find_lane(network: Network, x: float, y: float, heading: float) -> int:
     """Return the closest lane to a pose."""
-    return closest_lane(network, x, y, heading, 0)
+    return closest_lane(by_reference(network), x, y, heading, 0)

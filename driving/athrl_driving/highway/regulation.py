@@ -28,6 +28,8 @@ from athrl_driving.highway.routes import pose_on_route
 
 POINT_SPACING = 0.25
 """s between the points of a predicted trajectory."""
+SLACK = 1e-6
+"""m, for rounding."""
 
 
 @whole
@@ -50,8 +52,17 @@ def enforce_road_rules(
     for row in range(vehicles):
         if not _predict(rows, network, scratch, row):
             return row
+    reach = scratch.reach
     for first in range(vehicles - 1):
+        # highway-env looks closer at boxes whose centres are no further apart than the first one's length.
+        near = rows.parameters[LENGTH, first] + SLACK
+        west, north = reach[first, 0] - near, reach[first, 1] - near
+        east, south = reach[first, 2] + near, reach[first, 3] + near
         for second in range(first + 1, vehicles):
+            if reach[second, 0] > east or reach[second, 2] < west:
+                continue
+            if reach[second, 1] > south or reach[second, 3] < north:
+                continue
             if _is_conflict_possible(rows, scratch, first, second):
                 _stop(rows, _yielding(rows, network, first, second))
     return NONE
@@ -109,12 +120,8 @@ def _predict(rows: Rows, network: Network, scratch: Scratch, row: int) -> bool:
 @whole
 def _is_conflict_possible(rows: Rows, scratch: Scratch, first: int, second: int) -> bool:
     """Return whether two predicted trajectories meet."""
-    trajectory, reach = scratch.trajectory, scratch.reach
+    trajectory = scratch.trajectory
     near = rows.parameters[LENGTH, first]
-    if reach[first, 0] > reach[second, 2] + near or reach[second, 0] > reach[first, 2] + near:
-        return False
-    if reach[first, 1] > reach[second, 3] + near or reach[second, 1] > reach[first, 3] + near:
-        return False
     for point in range(TRAJECTORY_POINTS):
         east = trajectory[second, point, 0] - trajectory[first, point, 0]
         south = trajectory[second, point, 1] - trajectory[first, point, 1]
