@@ -13,7 +13,7 @@ from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
     from .drivers import BlindRouteFollower, Driver, RandomDriver, RuleBasedDriver, make_driver
-    from .envs import TownEnv
+    from .envs import TownEnv, TownVectorEnv
     from .scene import Scene, VehiclePose, lane_polylines
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "RuleBasedDriver",
     "Scene",
     "TownEnv",
+    "TownVectorEnv",
     "VehiclePose",
     "lane_polylines",
     "make_driver",
@@ -35,6 +36,7 @@ _MODULE_OF_NAME = {
     "RuleBasedDriver": "drivers",
     "Scene": "scene",
     "TownEnv": "envs",
+    "TownVectorEnv": "envs",
     "VehiclePose": "scene",
     "lane_polylines": "scene",
     "make_driver": "drivers",
@@ -48,10 +50,24 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(f".{_MODULE_OF_NAME[name]}", __name__), name)
 
 
+_MAP_OF_ID: dict[str, str | None] = {
+    "athrl/Town02-v0": "town02",
+    "athrl/Town03-v0": "town03",
+    "athrl/Town04-v0": "town04",
+    "athrl/OpenDrive-v0": None,  # the user names it
+}
+
+
 def _register_environments() -> None:
     """Register what is not registered yet; a second import, as by `package:id`, is no error."""
-    if "athrl/Town03-v0" not in registry:
-        register(id="athrl/Town03-v0", entry_point="athrl_driving.envs:TownEnv")
+    for name, town in _MAP_OF_ID.items():
+        if name not in registry:
+            register(
+                id=name,
+                entry_point="athrl_driving.envs:TownEnv",
+                vector_entry_point="athrl_driving.envs:TownVectorEnv",
+                kwargs={} if town is None else {"map": town},
+            )
 
 
 _register_environments()

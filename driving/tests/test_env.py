@@ -88,7 +88,7 @@ def test_rewards_of_the_ticks_are_summed() -> None:
     by_tick.vehicle.follow(by_decision.vehicle.target_speed, waypoint)
     for _ in range(4):
         by_tick._simulate(None)
-        for name, value in by_tick._terms.items():
+        for name, value in by_tick._rewards(STRAIGHT_SLOWLY).items():
             total[name] += value
     assert info["reward_terms"] == pytest.approx(total)
     assert reward == pytest.approx(sum(total.values()))

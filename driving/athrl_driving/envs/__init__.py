@@ -3,6 +3,8 @@
 from .action import WaypointAction
 from .ego_vehicle import EgoVehicle
 from .observation import BirdEyeObservation
+from .row import TownRow
 from .town_env import TownEnv
+from .vector_env import TownVectorEnv
 
-__all__ = ["BirdEyeObservation", "EgoVehicle", "TownEnv", "WaypointAction"]
+__all__ = ["BirdEyeObservation", "EgoVehicle", "TownEnv", "TownRow", "TownVectorEnv", "WaypointAction"]

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.action import ActionType
 from numpy.typing import NDArray
 
+from ..episode.drive import take_decision
 from .ego_vehicle import EgoVehicle
-
-if TYPE_CHECKING:
-    from .town_env import TownEnv
+from .settings import drive_settings
 
 
 class WaypointAction(ActionType):
@@ -24,11 +22,12 @@ class WaypointAction(ActionType):
     the decision is made, and stays where it is in the world until the next decision.
     """
 
-    def __init__(self, env: TownEnv, **_: object) -> None:
+    def __init__(self, env: Any, **_: object) -> None:
         super().__init__(env)
-        self.maximum_speed = float(env.config["maximum_speed"])
-        self.radius = float(env.config["waypoint_radius"])
-        self.half_angle = float(env.config["waypoint_half_angle"])
+        self.settings = drive_settings(env.config)
+        self.maximum_speed = self.settings.maximum_speed
+        self.radius = self.settings.waypoint_radius
+        self.half_angle = self.settings.waypoint_half_angle
 
     def space(self) -> spaces.Box:
         """The action space, float32 [2]."""
@@ -51,11 +50,5 @@ class WaypointAction(ActionType):
 
     def act(self, action: NDArray[np.floating]) -> None:
         """Hand the decision to the ego."""
-        ego = self.controlled_vehicle
-        target_speed, angle = self.physical(action)
-        direction = ego.heading + angle
-        waypoint = (
-            float(ego.position[0]) + self.radius * math.cos(direction),
-            float(ego.position[1]) + self.radius * math.sin(direction),
-        )
-        ego.follow(target_speed, waypoint)
+        ego: EgoVehicle = self.controlled_vehicle
+        take_decision(self.settings, *ego.arrays, np.asarray(action, np.float32))

@@ -102,6 +102,11 @@ class EgoVehicle(Vehicle):
         self.tick = 0.1
 
     @property
+    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`ego` and `control`, for kernels."""
+        return self._ego, self._control
+
+    @property
     def position(self) -> NDArray[np.float64]:
         """float64 [2], m; what is written to it moves the ego."""
         return self._ego[X : Y + 1]

@@ -9,40 +9,36 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from numpy.typing import NDArray
 
-from ..control import MAXIMUM_STEERING
-from ..perception import CHANNELS, Perception, drivable_map
-from ..reward import FAST_SPEED
+from ..episode.observe import MOTION_LIMIT
+from ..perception import CHANNELS
 
 if TYPE_CHECKING:
     from .town_env import TownEnv
 
-MOTION_LIMIT = 2.0
-"""Bound of both entries of `motion`."""
+
+def observation_space(image_size: int) -> spaces.Dict:
+    """`image` uint8 [size, size, 4], and `motion` float32 [2]: speed / 8 m/s, steering command / 0.3."""
+    shape = (image_size, image_size, len(CHANNELS))
+    return spaces.Dict(
+        {
+            "image": spaces.Box(0, 255, shape=shape, dtype=np.uint8),
+            "motion": spaces.Box(-MOTION_LIMIT, MOTION_LIMIT, shape=(2,), dtype=np.float32),
+        }
+    )
 
 
 class BirdEyeObservation(ObservationType):
-    """`image` uint8 [size, size, 4], and `motion` float32 [2]: speed / 8 m/s, steering command / 0.3."""
+    """What the kernel has drawn: see `observation_space`."""
 
     def __init__(self, env: TownEnv, **_: object) -> None:
         super().__init__(env)
         self.image_size = int(env.config["image_size"])
-        town = env.town
-        self.perception = Perception(drivable_map(town.name), town.graph, self.image_size)
 
     def space(self) -> spaces.Dict:
         """The observation space."""
-        shape = (self.image_size, self.image_size, len(CHANNELS))
-        return spaces.Dict(
-            {
-                "image": spaces.Box(0, 255, shape=shape, dtype=np.uint8),
-                "motion": spaces.Box(-MOTION_LIMIT, MOTION_LIMIT, shape=(2,), dtype=np.float32),
-            }
-        )
+        return observation_space(self.image_size)
 
     def observe(self) -> dict[str, NDArray]:
         """See the present moment; new arrays at each call."""
-        env, ego = self.env, self.observer_vehicle
-        x, y = float(ego.position[0]), float(ego.position[1])
-        image = self.perception.observe(x, y, ego.heading, env.road.background, env.route)
-        motion = np.array([ego.speed / FAST_SPEED, ego.steering / MAXIMUM_STEERING], dtype=np.float32)
-        return {"image": image, "motion": np.clip(motion, -MOTION_LIMIT, MOTION_LIMIT)}
+        state = self.env.episodes.state.progress
+        return {"image": state.images[0].copy(), "motion": state.motion[0].copy()}

@@ -4,12 +4,10 @@ import math
 
 from ..compilation import inlined, inner
 from ..maps.lane_graph import Floats
+from ..metrics import NO_COLLISION, STATIC_COLLISION, VEHICLE_COLLISION
 from ..traffic.collision import LEVEL_HEIGHT, first_touched, rectangles_touch
 from ..traffic.state import NOBODY, Background
 from .ego import ELEVATION, HEADING, LENGTH, SPEED, WIDTH, X, Y
-
-NO_COLLISION, VEHICLE_COLLISION, OBSTACLE_COLLISION = 0, 1, 2
-"""Kinds of collision."""
 
 HORIZON = 5.0
 """Seconds that the time to collision looks ahead; farther ones count as infinite."""
@@ -30,7 +28,7 @@ def collide(background: Background, obstacles: Floats, obstacle_count: int, ego:
             ego[X], ego[Y], ego[HEADING], ego[LENGTH], ego[WIDTH],
             obstacles[row, 0], obstacles[row, 1], obstacles[row, 2], obstacles[row, 3], obstacles[row, 4],
         ):  # fmt: skip
-            return OBSTACLE_COLLISION
+            return STATIC_COLLISION
     return NO_COLLISION
 
 

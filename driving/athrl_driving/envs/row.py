@@ -1,0 +1,83 @@
+"""One environment of a batch as an object: what drivers, viewers and tests look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from ..episode import Episodes
+from ..episode.ego import ACCELERATION, WHEEL_ANGLE
+from ..reward import REWARD_TERMS
+from ..route import Route
+from ..scene import Scene, VehiclePose
+from .action import WaypointAction
+from .ego_vehicle import EgoVehicle
+from .road import EpisodeRoad
+
+
+class TownRow:
+    """Environment `e` of `episodes`, whatever episode it is in; `config` are the environment's settings."""
+
+    def __init__(self, episodes: Episodes, e: int, config: Mapping[str, Any]) -> None:
+        self.episodes = episodes
+        self.e = e
+        self.config = config
+        self.town = episodes.town
+
+    @property
+    def unwrapped(self) -> TownRow:
+        """Itself, as gymnasium's environments have it."""
+        return self
+
+    @cached_property
+    def road(self) -> EpisodeRoad:
+        """The road with its vehicles."""
+        return EpisodeRoad(self.episodes, self.e, record_history=self.config["show_trajectories"])
+
+    @property
+    def vehicle(self) -> EgoVehicle:
+        """The ego."""
+        ego: EgoVehicle = self.road.vehicles[0]
+        lane_index = self.town.lane_indices[self.route.lane]
+        if lane_index != ego.lane_index:
+            ego.lane_index, ego.lane = lane_index, self.town.network.get_lane(lane_index)
+        return ego
+
+    @cached_property
+    def route(self) -> Route:
+        """The ego's route."""
+        return Route.of_environment(self.town.graph, self.episodes.state.routes, self.e)
+
+    @cached_property
+    def action_type(self) -> WaypointAction:
+        """What the entries of an action mean."""
+        return WaypointAction(self)
+
+    @cached_property
+    def action_space(self) -> spaces.Box:
+        """The action space, float32 [2]."""
+        return self.action_type.space()
+
+    def scene(self) -> Scene:
+        """The present moment, for a live view or a recording."""
+        state, e = self.episodes.state.progress, self.e
+        ego, others = self.vehicle, self.road.background
+        columns = (others.x, others.y, others.heading, others.speed, others.length, others.width)
+        x, y = ego.position.tolist()
+        return Scene(
+            step=int(state.decisions[e]),
+            time=float(state.ticks[e]) * self.episodes.state.settings.interval,
+            ego=VehiclePose(x, y, ego.heading, ego.speed, ego.LENGTH, ego.WIDTH),
+            vehicles=tuple(VehiclePose(*row) for row in np.stack(columns, axis=1).tolist()),
+            route=self.route.waypoints()[:, :2],
+            waypoint=np.array(ego.waypoint),
+            target_speed=ego.target_speed,
+            steering=float(state.control[e, WHEEL_ANGLE]),
+            acceleration=float(state.control[e, ACCELERATION]),
+            reward=float(state.reward[e]),
+            reward_terms=dict(zip(REWARD_TERMS, state.terms[e].tolist(), strict=True)),
+        )

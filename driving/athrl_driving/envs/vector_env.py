@@ -1,0 +1,218 @@
+"""Many towns at once: a batch of environments that one call steps, on several threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from ..episode import DECIDE
+from ..scene import Scene
+from .action import WaypointAction
+from .observation import observation_space
+from .row import TownRow
+from .settings import changed_settings, new_episodes, town_of
+from .town_env import TownEnv
+
+Observations = dict[str, NDArray]
+
+
+class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
+    """`num_envs` towns, each of which does exactly what a `TownEnv` with its seed and its actions would do.
+
+    `config` and `map` are those of `TownEnv`; the settings are fixed when it is made. `threads` is how many
+    work at a step, as many as there are cores by default. `autoreset_mode` is gymnasium's: an episode that
+    has ended begins anew at the next step (NEXT_STEP), within the same step (SAME_STEP), or when `reset` is
+    called with `options={"reset_mask": bool [num_envs]}` (DISABLED).
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        render_mode: None = None,
+        map: str | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(
+                f"render_mode is {render_mode!r}, but a vector of towns does not render: use row(e)"
+            )
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}, it should be 1 or more")
+        self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.config = changed_settings(TownEnv.default_config(), config, map)
+        self.town = town_of(self.config)
+        cores = len(os.sched_getaffinity(0))
+        self.episodes = new_episodes(self.config, self.town, num_envs, threads or cores)
+        self.single_observation_space = observation_space(self.config["image_size"])
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._rows = [TownRow(self.episodes, e, self.config) for e in range(num_envs)]
+        self.single_action_space = WaypointAction(self._rows[0]).space()
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._generators: list[np.random.Generator | None] = [None] * num_envs
+        self._ended = np.zeros(num_envs, np.bool_)
+        self._begun = np.zeros(num_envs, np.bool_)
+        self._work = np.zeros(num_envs, np.int64)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Begin new episodes in all environments, or in those of `options["reset_mask"]` bool [num_envs].
+
+        With an integer `seed` environment e has `seed + e`; a list has one for each. Without one each goes on
+        with its own random numbers.
+        """
+        mask = self._reset_mask(options)
+        seeds = self._spread(seed)
+        for e in np.flatnonzero(mask).tolist():
+            if seeds[e] is not None:
+                self._generators[e] = seeding.np_random(seeds[e])[0]
+        self._begin(mask)
+        return self._observe(), self.episodes.infos(mask)
+
+    def step(
+        self, actions: NDArray[np.floating]
+    ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Make one decision in every environment; `actions` is float32 [num_envs, 2] within [-1, 1].
+
+        Raises ResetNeeded where an episode has not begun, or has ended and nothing resets it.
+        """
+        actions = self._checked(actions)
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP:
+            return self._step_after_reset(actions)
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():
+            ended = np.flatnonzero(self._ended).tolist()
+            raise ResetNeeded(f"the episodes of environments {ended} have ended: reset them before the step")
+        self._drive(actions, np.ones(self.num_envs, np.bool_))
+        results = self._results()
+        if self.autoreset_mode == AutoresetMode.DISABLED or not self._ended.any():
+            return self._observe(), *results, self._infos()
+        return self._reset_within_step(results)
+
+    def step_rows(
+        self, actions: NDArray[np.floating], rows: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Make one decision in the environments of `rows` bool [num_envs] alone, without any autoreset.
+
+        Returns rewards, terminated, truncated and infos of these; the others stand still.
+        """
+        self._drive(self._checked(actions), rows)
+        rewards, terminated, truncated = self._results()
+        return rewards * rows, terminated & rows, truncated & rows, self._infos(rows)
+
+    def row(self, e: int) -> TownRow:
+        """Environment `e` as an object, for drivers and viewers."""
+        return self._rows[e]
+
+    def scene(self, e: int) -> Scene:
+        """The present moment of environment `e`."""
+        return self._rows[e].scene()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads."""
+        self.episodes.close()
+
+    def _step_after_reset(self, actions: NDArray[np.float32]) -> tuple:
+        """Step, or begin anew where the last step ended an episode."""
+        ended = self._ended.copy()
+        if ended.any():
+            self._begin(ended)
+        self._drive(actions, ~ended)
+        return self._observe(), *self._results(), self._infos()
+
+    def _reset_within_step(self, results: tuple) -> tuple:
+        """Begin anew where the step ended an episode; what was last seen there goes into the infos."""
+        ended = self._ended.copy()
+        final_infos = self._infos(ended)
+        final = np.full(self.num_envs, None, dtype=object)
+        last = self._observe()
+        for e in np.flatnonzero(ended).tolist():
+            final[e] = {name: values[e] for name, values in last.items()}
+        self._begin(ended)
+        infos = {
+            **self._infos(),
+            "final_obs": final,
+            "_final_obs": ended.copy(),
+            "final_info": final_infos,
+            "_final_info": ended,
+        }
+        return self._observe(), *results, infos
+
+    def _drive(self, actions: NDArray[np.float32], rows: NDArray[np.bool_]) -> None:
+        if not self._begun.all():
+            missing = np.flatnonzero(rows & ~self._begun).tolist()
+            if missing:
+                raise ResetNeeded(f"no episode has begun in environments {missing}: call reset before step")
+        np.multiply(rows, DECIDE, out=self._work)
+        self.episodes.work(actions, self._work)
+        state = self.episodes.state.progress
+        np.logical_or(state.terminated, state.truncated, out=self._ended)
+
+    def _begin(self, rows: NDArray[np.bool_]) -> None:
+        chosen = np.flatnonzero(rows)
+        for e in chosen.tolist():
+            self.episodes.begin(e, self._generator(e))
+        self.episodes.see(chosen)
+        self._begun[rows] = True
+        self._ended[rows] = False
+
+    def _observe(self) -> Observations:
+        state = self.episodes.state.progress
+        return {"image": state.images.copy(), "motion": state.motion.copy()}
+
+    def _results(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        state = self.episodes.state.progress
+        return state.reward.copy(), state.terminated.copy(), state.truncated.copy()
+
+    def _infos(self, rows: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+        """The infos of `rows`, with the metrics of those whose episodes have ended."""
+        rows = np.ones(self.num_envs, np.bool_) if rows is None else rows
+        infos = self.episodes.infos(rows)
+        for e in np.flatnonzero(rows & self._ended).tolist():
+            infos = self._add_info(infos, {"metrics": self.episodes.summary(e)}, e)
+        return infos
+
+    def _checked(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
+        checked = np.ascontiguousarray(actions, dtype=np.float32)
+        if checked.shape != (self.num_envs, 2):
+            raise ValueError(f"the actions have shape {checked.shape}, it should be ({self.num_envs}, 2)")
+        return checked
+
+    def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise ValueError(f"reset_mask is {mask!r}, it should be a bool array of {self.num_envs} entries")
+        if not mask.any():
+            raise ValueError("reset_mask names no environment, it should name one at least")
+        return mask
+
+    def _spread(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + e for e in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"{len(seed)} seeds were given, there should be one for each of {self.num_envs}")
+        return seed
+
+    def _generator(self, e: int) -> np.random.Generator:
+        generator = self._generators[e]
+        if generator is None:
+            generator = self._generators[e] = seeding.np_random()[0]
+        return generator

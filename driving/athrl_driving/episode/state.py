@@ -1,0 +1,140 @@
+"""The state of E episodes that run side by side, as arrays with a leading environment axis.
+
+Observations, rewards and what `info` tells are part of it: the kernel writes them where Python reads them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..maps import Town
+from ..maps.lane_graph import Floats, Integers
+from ..metrics import MetricsState, new_metrics
+from ..perception import drivable_map
+from ..reward import REWARD_TERMS
+from ..route import LANES_AHEAD, RouteState, new_routes
+from ..traffic.state import Traffic, new_traffic
+from .ego import CONTROL_SIZE, EGO_SIZE
+
+OBSTACLES = 8
+"""Things on the road that an episode has room for."""
+
+
+class DriveSettings(NamedTuple):
+    """What a decision means and how long everything lasts."""
+
+    interval: float
+    """Length of a tick, s."""
+    ticks_per_decision: int
+    episode_ticks: int
+    """Ticks after which an episode is truncated."""
+    maximum_speed: float
+    """Highest target speed, m/s."""
+    waypoint_radius: float
+    """Distance of the waypoint, m."""
+    waypoint_half_angle: float
+    """Angle of the outermost waypoints, rad."""
+
+
+class View(NamedTuple):
+    """What perception needs to know of the town."""
+
+    cells: NDArray[np.uint8]
+    left: float
+    top: float
+
+
+class Progress(NamedTuple):
+    """Where the ego of each episode is, how far it has come, and what its last decision brought."""
+
+    ego: Floats
+    """[E, 8] as `episode.ego` has it."""
+    control: Floats
+    """[E, 10] as `episode.ego` has it."""
+    path: Integers
+    """[E, LANES_AHEAD] rows of the lane graph that the ego will drive, its present one first, then -1."""
+    obstacles: Floats
+    """[E, OBSTACLES, 5] x, y (m), heading (rad), length, width (m) of things that stand about."""
+    obstacle_count: Integers
+    """[E]"""
+    collision: Integers
+    """[E] kind of the collision that ended the episode, 0 none."""
+    off_lane: NDArray[np.bool_]
+    """[E] the lane has been left."""
+    arrived: NDArray[np.bool_]
+    """[E] the destination has been reached."""
+    terminated: NDArray[np.bool_]
+    """[E]"""
+    truncated: NDArray[np.bool_]
+    """[E]"""
+    ticks: Integers
+    """[E] of the episode."""
+    decisions: Integers
+    """[E] of the episode."""
+    decision_ticks: Integers
+    """[E] of the last decision."""
+    terms: Floats
+    """[E, 7] reward terms of the last decision, in the order of `REWARD_TERMS`."""
+    reward: Floats
+    """[E] their sum."""
+    speed: Floats
+    """[E] mean speed of the last decision, m/s."""
+    distance: Floats
+    """[E] driven in the episode, m."""
+    images: NDArray[np.uint8]
+    """[E, S, S, 4]"""
+    motion: NDArray[np.float32]
+    """[E, 2] speed / 8 m/s and steering command / 0.3, within +-2."""
+
+
+class EpisodeState(NamedTuple):
+    """Everything that a decision reads and writes; kernels take its parts, for a wide tuple costs much."""
+
+    settings: DriveSettings
+    traffic: Traffic
+    routes: RouteState
+    metrics: MetricsState
+    perception: View
+    progress: Progress
+
+
+def new_state(
+    town: Town, settings: DriveSettings, environments: int, vehicles: int, image_size: int
+) -> EpisodeState:
+    """Make room for `environments` episodes with `vehicles` background vehicles each; none has begun."""
+    drivable = drivable_map(town.name)
+    return EpisodeState(
+        settings=settings,
+        traffic=new_traffic(town, environments, vehicles),
+        routes=new_routes(town.graph, environments),
+        metrics=new_metrics(environments),
+        perception=View(drivable.cells, drivable.left, drivable.top),
+        progress=_new_progress(environments, image_size),
+    )
+
+
+def _new_progress(count: int, image_size: int) -> Progress:
+    return Progress(
+        ego=np.zeros((count, EGO_SIZE)),
+        control=np.zeros((count, CONTROL_SIZE)),
+        path=np.full((count, LANES_AHEAD), -1),
+        obstacles=np.zeros((count, OBSTACLES, 5)),
+        obstacle_count=np.zeros(count, np.int64),
+        collision=np.zeros(count, np.int64),
+        off_lane=np.zeros(count, np.bool_),
+        arrived=np.zeros(count, np.bool_),
+        terminated=np.zeros(count, np.bool_),
+        truncated=np.zeros(count, np.bool_),
+        ticks=np.zeros(count, np.int64),
+        decisions=np.zeros(count, np.int64),
+        decision_ticks=np.zeros(count, np.int64),
+        terms=np.zeros((count, len(REWARD_TERMS))),
+        reward=np.zeros(count),
+        speed=np.zeros(count),
+        distance=np.zeros(count),
+        images=np.zeros((count, image_size, image_size, 4), np.uint8),
+        motion=np.zeros((count, 2), np.float32),
+    )

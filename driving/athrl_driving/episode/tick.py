@@ -1,0 +1,76 @@
+"""One tick of an episode, compiled."""
+
+from ..compilation import inlined, inner
+from ..maps.geometry import lane_elevation, lane_project
+from ..metrics import NO_COLLISION, MetricsState, note_tick
+from ..reward import add_reward_terms, has_left_lane
+from ..route import RouteState, follow, has_arrived, heading_of_nearest_waypoint, lanes_ahead
+from ..traffic.state import Traffic
+from ..traffic.tick import advance
+from .ego import EGO_WHEELBASE, ELEVATION, HEADING, SPEED, STEERING, X, Y, control_ego, move_ego
+from .hazard import collide, time_to_collision
+from .state import DriveSettings, Progress
+
+
+@inner
+def tick(
+    settings: DriveSettings,
+    traffic: Traffic,
+    route: RouteState,
+    metrics: MetricsState,
+    progress: Progress,
+    e: int,
+) -> None:
+    """Drive environment `e` for one tick; `traffic`, `route` and `metrics` are its views.
+
+    Traffic sees where the ego was at the tick's beginning.
+    """
+    graph, interval = traffic.graph, settings.interval
+    ego, control, path = progress.ego[e], progress.control[e], progress.path[e]
+    position = route.position[0]
+    control_ego(ego, control, interval)
+    advance(traffic, ego, path, interval)
+    line, ahead = traffic.right_of_way.line_distance[-1], traffic.right_of_way.ahead[-1]
+    move_ego(ego, control, progress.collision[e] != NO_COLLISION, EGO_WHEELBASE, interval)
+    follow(graph, route, ego[X], ego[Y])
+    lanes_ahead(graph, route, path)
+    ego[ELEVATION] = lane_elevation(graph, path[0], lane_project(graph, path[0], ego[X], ego[Y])[0])
+    touched = collide(traffic.background, progress.obstacles[e], progress.obstacle_count[e], ego)
+    if touched != NO_COLLISION:
+        progress.collision[e] = touched
+    _count_tick(settings, progress, e, route)
+    driven = route.position[0] - position
+    note_tick(
+        metrics, ego[SPEED], ego[HEADING], driven, route.lateral[0],
+        time_to_collision(traffic.background, ego), 0.0 <= line < driven and red_light(traffic, ahead),
+        touched, progress.off_lane[e], progress.arrived[e], interval,
+    )  # fmt: skip
+
+
+@inlined
+def red_light(traffic: Traffic, movement: int) -> bool:
+    """Placeholder until the traffic has signals."""
+    return False
+
+
+@inlined
+def _count_tick(settings: DriveSettings, progress: Progress, e: int, route: RouteState) -> None:
+    """Add the tick to the decision's and the episode's sums and see whether the episode has ended."""
+    ego, terms = progress.ego[e], progress.terms[e]
+    collided, lateral = progress.collision[e] != NO_COLLISION, route.lateral[0]
+    error = ego[HEADING] - heading_of_nearest_waypoint(route)
+    add_reward_terms(terms, collided, ego[SPEED], error, lateral, progress.control[e, STEERING])
+    reward = 0.0
+    for term in range(terms.shape[0]):
+        reward += terms[term]
+    progress.reward[e] = reward
+    ticks = progress.decision_ticks[e]
+    progress.speed[e] = (progress.speed[e] * ticks + ego[SPEED]) / (ticks + 1)
+    progress.decision_ticks[e] = ticks + 1
+    progress.distance[e] += ego[SPEED] * settings.interval
+    progress.ticks[e] += 1
+    left, arrived = has_left_lane(lateral), has_arrived(route)
+    progress.off_lane[e], progress.arrived[e] = left, arrived
+    ended = collided or left or arrived
+    progress.terminated[e] = ended
+    progress.truncated[e] = not ended and progress.ticks[e] >= settings.episode_ticks
