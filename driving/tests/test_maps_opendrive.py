@@ -267,7 +267,7 @@ def test_a_fork_of_lanes_without_a_junction_is_a_way_through_one(tmp_path: Path)
         (('sOffset="0"', 'sOffset="9"'), r"road 0, lane 1, line \d+: its first <width> or <border> does"),
         (('elementId="0" contactPoint="end"', 'elementId="77" contactPoint="end"'),
          r"road 200, line \d+: it is linked to road 77, which is not there"),
-        (('contactPoint="end"', 'contactPoint="middle"'), r"road 200, line \d+: contactPoint is 'middle', it"),
+        (('contactPoint="end"', 'contactPoint="middle"'), r"road 200, line \d+: contactPoint is 'middle'"),
         (('<successor id="1">', '<successor id="7">'),
          r"road 0, lane 7, line \d+: it is linked to lane -1 of road 200, but has no lane 7 at its end"),
         (('connectingRoad="101"', 'connectingRoad="999"'), r"junction 9, line \d+: there is no road 999"),
@@ -318,3 +318,67 @@ def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     assert load_town(tmp_path / "map.xodr") is first
     second = town_from(tmp_path, crossing(arms=(0, 1, 2)))
     assert len(second.movements.length) < len(first.movements.length)
+
+
+def loop_of_roads(sections: str, *, marks: str = "broken") -> str:
+    """A closed loop of two straights and two half circles, lanes -1 and -2; the first straight is given."""
+    mark = element("roadMark", sOffset=0, type=marks)
+    both = "".join(lane(number, before=number, after=number) for number in (-1, -2)).replace(
+        "<width", mark + "<width"
+    )
+    arc = element("arc", curvature=1.0 / 30.0)
+    half = 30.0 * math.pi
+    places = {2: (200.0, 0.0, 0.0), 3: (200.0, 60.0, math.pi), 4: (0.0, 60.0, math.pi)}
+    text = ""
+    for number, place in places.items():
+        links = linked("predecessor", number - 1, "end") + linked("successor", number % 4 + 1, "start")
+        shape, length = ("<line/>", 200.0) if number == 3 else (arc, half)
+        text += road(number, shape, place, length, element("right", both), links, HALF_LANE)
+    plan = element("planView", element("geometry", "<line/>", s=0, x=0, y=0, hdg=0, length=200))
+    links = element("link", linked("predecessor", 4, "end") + linked("successor", 2, "start"))
+    offset = element("laneOffset", s=0, a=HALF_LANE, b=0, c=0, d=0)
+    lanes = element("lanes", offset + (sections or element("laneSection", element("right", both), s=0)))
+    return element("OpenDRIVE", element("road", links + plan + lanes, id=1, length=200) + text)
+
+
+def test_marks_are_followed_where_lanes_can_be_reached_otherwise(tmp_path: Path) -> None:
+    solid, broken = (element("roadMark", sOffset=0, type=kind) for kind in ("solid", "broken"))
+    lanes = [lane(number, before=number, after=number) for number in (-1, -2)]
+    first, second = ("".join(lanes).replace("<width", mark + "<width") for mark in (solid, broken))
+    sections = element("laneSection", element("right", first), s=0)
+    sections += element("laneSection", element("right", second), s=120)
+    town = town_from(tmp_path, loop_of_roads(sections, marks="solid"))
+    beside = (town.graph.left >= 0) | (town.graph.right >= 0)
+    assert town.graph.length[beside].sum() == pytest.approx(2 * 80.0)
+    assert (town.graph.start_x[beside] == 120.0).all()
+
+
+def test_marks_give_way_where_lanes_could_not_be_reached_otherwise(tmp_path: Path) -> None:
+    town = town_from(tmp_path, loop_of_roads("", marks="solid"))
+    assert set(town.lane_id) == {-1, -2}
+    assert ((town.graph.left >= 0) | (town.graph.right >= 0)).all()
+
+
+def test_a_lane_that_opens_and_closes_is_driven_on_where_it_is_wide_enough(tmp_path: Path) -> None:
+    parts = ((0, 0, 0), (50, 0, 0.0875), (90, 3.5, 0), (150, 3.5, -0.0875), (190, 0, 0))
+    widths = "".join(element("width", sOffset=s, a=a, b=b, c=0, d=0) for s, a, b in parts)
+    opening = element("lane", widths, id=-3, type="driving")
+    lanes = "".join(lane(number, before=number, after=number) for number in (-1, -2))
+    sections = element("laneSection", element("right", lanes + opening), s=0)
+    town = town_from(tmp_path, loop_of_roads(sections))
+    graph = town.graph
+    rows = np.flatnonzero(town.lane_id == -3)
+    assert graph.width[rows].min() >= 2.2
+    assert graph.start_x[rows].min() == pytest.approx(50.0 + 2.2 / 0.0875, abs=0.1)
+    assert graph.dead_end[rows].sum() == 1
+    assert graph.dead_end.sum() == 1
+    assert (graph.left[rows] >= 0).all()
+    last = rows[graph.dead_end[rows]][0]
+    assert graph.start_x[last] + graph.length[last] == pytest.approx(190.0 - 2.2 / 0.0875, abs=0.1)
+
+
+def test_borders_are_read_as_widths_are(tmp_path: Path) -> None:
+    widths = town_from(tmp_path, crossing())
+    borders = town_from(tmp_path, crossing().replace("<width", "<border").replace("</width", "</border"))
+    np.testing.assert_allclose(widths.graph.start_x, borders.graph.start_x)
+    np.testing.assert_allclose(widths.graph.width, borders.graph.width)
