@@ -7,11 +7,13 @@ from typing import TypeVar
 
 import gymnasium
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.observation import ObservationType
 from highway_env.road.road import Road
 
 from athrl_driving.compilation import announce_compilation
 from athrl_driving.highway import kernels
 from athrl_driving.highway.known import UnknownClassError
+from athrl_driving.highway.observation import accelerate_observation
 from athrl_driving.highway.road import accelerate_road
 from athrl_driving.highway.standing_in import standing_in
 
@@ -33,6 +35,7 @@ def accelerate(env: Environment) -> Environment:
     if not isinstance(plain, AcceleratedEnvironment):
         plain.__class__ = _accelerated_class(type(plain))
         plain.road = plain.__dict__.get("road")
+        plain.observation_type = plain.__dict__.get("observation_type")
     return env
 
 
@@ -51,6 +54,17 @@ class AcceleratedEnvironment:
         if road is not None:
             accelerate_road(road)
         self.__dict__["road"] = road
+
+    @property
+    def observation_type(self) -> ObservationType | None:
+        """What observes."""
+        return self.__dict__.get("observation_type")
+
+    @observation_type.setter
+    def observation_type(self, observation: ObservationType | None) -> None:
+        if observation is not None:
+            accelerate_observation(observation)
+        self.__dict__["observation_type"] = observation
 
 
 @cache

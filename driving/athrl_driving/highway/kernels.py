@@ -1,18 +1,16 @@
 """The compiled functions that Python calls: a road's `act` and `step`, and its questions."""
 
 from athrl_driving.highway.compiling import entry
+import math
+
 from athrl_driving.by_reference import by_reference
 from athrl_driving.highway.behaviour import act_all
 from athrl_driving.highway.collisions import collide_all
-from athrl_driving.highway.columns import FAILED_ROW, LANE, NONE, Integers, Rows, Scratch
+from athrl_driving.highway.columns import FAILED_ROW, LANE, NONE, Floats, Integers, Rows, Scratch
 from athrl_driving.highway.lanes import Network, closest_lane, lane_coordinates
 from athrl_driving.highway.motion import move_all
 from athrl_driving.highway.neighbours import begin_frame, neighbours
 from athrl_driving.highway.regulation import enforce_road_rules
-
-CLOSE_BEHIND = 2.0
-"""Lengths of the observer behind it, within which highway-env shows objects and, if it is told to, vehicles."""
-
 
 @entry
 def act(
@@ -57,3 +55,47 @@ def step(
 def find_lane(network: Network, x: float, y: float, heading: float) -> int:
     """Return the closest lane to a pose."""
     return closest_lane(by_reference(network), x, y, heading, 0)
+
+
+@entry
+def look(
+    rows: Rows, network: Network, scratch: Scratch, vehicles: int, objects: int, connected: bool, row: int, lane: int
+) -> tuple[int, int]:
+    """Return the rows before and behind a vehicle on a lane, NONE where there is nobody."""
+    of_rows, of_network, of_scratch = by_reference(rows), by_reference(network), by_reference(scratch)
+    begin_frame(of_rows, of_network, of_scratch, vehicles + objects)
+    along = lane_coordinates(network.lanes, lane, rows.position[row, 0], rows.position[row, 1])[0]
+    return neighbours(of_rows, of_network, of_scratch, vehicles + objects, connected, row, lane, along)
+
+
+@entry
+def find_close(
+    rows: Rows,
+    network: Network,
+    vehicles: int,
+    count: int,
+    row: int,
+    distance: float,
+    farthest_behind: float,
+    see_behind: bool,
+    found: Integers,
+    ahead: Floats,
+) -> int:
+    """Write the rows that are within `distance` (m) of a vehicle, and how far each is ahead on its lane, m.
+
+    Objects, and vehicles unless `see_behind`, only where they are less than `farthest_behind` m behind.
+    Returns their number.
+    """
+    lanes, lane = network.lanes, rows.marks[LANE, row]
+    x, y = rows.position[row, 0], rows.position[row, 1]
+    own = lane_coordinates(lanes, lane, x, y)[0]
+    number = 0
+    for other in range(count):
+        east, south = rows.position[other, 0] - x, rows.position[other, 1] - y
+        if other == row or not math.sqrt(east * east + south * south) < distance:
+            continue
+        further = lane_coordinates(lanes, lane, rows.position[other, 0], rows.position[other, 1])[0] - own
+        if (see_behind and other < vehicles) or -farthest_behind < further:
+            found[number], ahead[number] = other, further
+            number += 1
+    return number

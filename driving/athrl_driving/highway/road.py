@@ -9,13 +9,13 @@ import numpy as np
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import LaneIndex, Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
 
 from athrl_driving.highway import kernels
-from athrl_driving.highway.columns import FAILED_ROW, KIND, LANE, LENGTH, NONE
+from athrl_driving.highway.columns import FAILED_ROW, NONE
 from athrl_driving.highway.known import network_class, road_class
 from athrl_driving.highway.network import CompiledNetwork
-from athrl_driving.highway.rows import Row
 from athrl_driving.highway.standing_in import standing_in
 from athrl_driving.highway.table import Table
 
@@ -94,6 +94,62 @@ class AcceleratedRoad:
         if self.record_history:
             for vehicle in self.vehicles:
                 vehicle.history.appendleft(vehicle.create_from(vehicle))
+
+    def close_objects_to(
+        self,
+        vehicle: Vehicle,
+        distance: float,
+        count: int | None = None,
+        see_behind: bool = True,
+        sort: bool = True,
+        vehicles_only: bool = False,
+    ) -> list[RoadObject]:
+        """Return what is within a distance (m) of a vehicle, the closest along its lane first."""
+        table = self.table
+        if not table.has(vehicle):
+            return type(self).plain.close_objects_to(
+                self, vehicle, distance, count, see_behind, sort, vehicles_only
+            )
+        vehicles, things = table.vehicle_count, table.things
+        number = kernels.find_close(
+            table.rows,
+            table.network.arrays,
+            vehicles,
+            vehicles if vehicles_only else len(things),
+            vehicle._row,
+            distance,
+            2 * vehicle.LENGTH,
+            bool(see_behind),
+            table.found,
+            table.ahead,
+        )
+        rows = table.found[:number]
+        if sort:
+            rows = rows[np.argsort(np.abs(table.ahead[:number]), kind="stable")]
+        if count:
+            rows = rows[:count]
+        return [things[row] for row in rows]
+
+    def neighbour_vehicles(
+        self, vehicle: Vehicle, lane_index: LaneIndex | None = None
+    ) -> tuple[RoadObject | None, RoadObject | None]:
+        """Return who is before and behind a vehicle on a lane (its own where None is given)."""
+        table = self.table
+        if not table.has(vehicle):
+            return type(self).plain.neighbour_vehicles(self, vehicle, lane_index)
+        lane = table.network.row(lane_index or vehicle.lane_index)
+        front, rear = kernels.look(
+            table.rows,
+            table.network.arrays,
+            table.scratch,
+            table.vehicle_count,
+            len(table.things) - table.vehicle_count,
+            bool(self.neighbour_vehicles_connected_lanes),
+            vehicle._row,
+            lane,
+        )
+        things = table.things
+        return None if front == NONE else things[front], None if rear == NONE else things[rear]
 
     def _regulation(self, dt: float) -> tuple[bool, float]:
         return False, 0.0

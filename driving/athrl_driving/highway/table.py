@@ -44,10 +44,12 @@ class Table:
         self.network = network
         self.things: list[Row] = []
         self.vehicle_count = 0
+        self.classes: set[type] = set()
+        """The classes of highway-env that are in the rows."""
         self._stale: list[Row] = []
         self._class_parameters: dict[type, tuple] = {}
         self.rows = _new_rows(ROOM, ROOM)
-        self.scratch = _new_scratch(ROOM, len(network.lanes))
+        self._make_room(ROOM)
 
     def set_things(self, vehicles: Sequence[RoadObject], objects: Sequence[RoadObject]) -> None:
         """Let the rows be these vehicles and objects, in this order; who is no longer in them becomes plain."""
@@ -57,7 +59,7 @@ class Table:
         for thing in self.things:
             if id(thing) not in staying:
                 self._take_out(thing)
-        old = [thing._row if self._has(thing) else NONE for thing in things]
+        old = [thing._row if self.has(thing) else NONE for thing in things]
         self._arrange(old)
         for row, (thing, kind) in enumerate(zip(things, kinds, strict=True)):
             if old[row] == NONE:
@@ -65,14 +67,19 @@ class Table:
             else:
                 thing.__dict__["_row"] = row
         self.things, self.vehicle_count = things, len(vehicles)
-        classes = {type(thing).plain for thing in things}
-        self._class_parameters = {cls: self._class_parameters.get(cls, ()) for cls in classes}
+        self.classes = {type(thing).plain for thing in things}
+        self._class_parameters = {cls: self._class_parameters.get(cls, ()) for cls in self.classes}
 
-    def _has(self, thing: RoadObject) -> bool:
+    def _make_room(self, room: int) -> None:
+        self.scratch = _new_scratch(room, len(self.network.lanes))
+        self.found, self.ahead = np.zeros(room, np.int64), np.zeros(room)
+
+    def has(self, thing: Any) -> bool:
+        """Return whether a vehicle or an object is a row of this table."""
         return isinstance(thing, Row) and thing._table is self
 
     def _kind(self, thing: RoadObject) -> int:
-        if self._has(thing):
+        if self.has(thing):
             return NONE  # it has been looked at
         if isinstance(thing, Row):
             thing._table._take_out(thing)
@@ -84,7 +91,7 @@ class Table:
         taken = np.array([0 if row == NONE else row for row in old], np.int64)
         if count > room:
             room = max(count, 2 * room)
-            self.scratch = _new_scratch(room, len(self.network.lanes))
+            self._make_room(room)
         rows = _new_rows(room, self.rows.route.shape[1])
         rows.position[:count] = self.rows.position[taken]
         rows.state[:, :count] = self.rows.state[:, taken]
