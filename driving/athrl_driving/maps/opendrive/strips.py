@@ -215,7 +215,7 @@ def _strip(
     lanes: list[tuple[float, LanePiece]] = []
     middle, first, last = 0.5 * (start + end), elevation_at(road, start), elevation_at(road, end)
     for band, fit in fitted:
-        lane, width = band.lane, float(band.width.mean())
+        lane, width = band.lane, _mean(band, band.width)
         if road.drives_forward(lane) != forward or is_too_narrow(lane, section, width):
             continue
         piece = LanePiece(
@@ -232,7 +232,7 @@ def _strip(
             end_elevation=last,
             junction=road.junction if road.in_junction else "",
         )
-        lanes.append((float(band.centre.mean()), piece if forward else _turned_round(piece)))
+        lanes.append((_mean(band, band.centre), piece if forward else _turned_round(piece)))
     if not lanes:
         return None
     lanes.sort(key=lambda item: -item[0] if forward else item[0])
@@ -241,6 +241,10 @@ def _strip(
     for piece in strip.lanes:
         piece.strip = strip
     return strip
+
+
+def _mean(band: LaneBand, values: np.ndarray) -> float:
+    return float(values[0] if band.constant else values.mean())
 
 
 def _turned_round(piece: LanePiece) -> LanePiece:
