@@ -1,110 +1,158 @@
-"""Channel 0, the drivable map: 255 where lanes are, 0 elsewhere, the edges anti-aliased.
+"""The town's surface on a fine grid, drawn once: coverage and height of each cell, by layers.
 
-The town is drawn once on a fine grid, and each observation samples the grid in the turned window: the cost
-does not depend on the number of lanes.
+Where one road leads over another, the one that is met first lies in layer 0 and the other in layer 1 (and so
+on), cell by cell, so that each can be looked up by its height.
 """
 
 from __future__ import annotations
 
-import functools
 import math
-from dataclasses import dataclass
+import weakref
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import compiled
-from ..maps import LaneGraph, load_town
-from ..maps.geometry import lane_project
-from .window import forward_of, right_of
+from ..maps import LaneGraph, Town
+from ..maps.geometry import lane_pose, lane_project
 
 CELL = 0.5
 """Side of a cell of the town's grid, m."""
 
+LEVEL_HEIGHT = 3.0
+"""What is farther above or below the ego, in metres, is not seen."""
+
+TILE = 32
+"""Cells along the side of a tile, for which the least and the greatest height are known."""
+
+HEIGHT_UNIT = 0.1
+"""Unit of a cell's height, m."""
+
 _SAMPLES = 3
 """A cell's brightness is the share of this many by this many points in it that lie on a lane."""
 
-_MARGIN = 8.0
-"""Empty border of the grid, m; what lies beyond the grid is not drivable either."""
+_MARGIN = 40.0
+"""Empty border of the grid, m, in which a window lies that reaches beyond the roads."""
 
 _JOINT = 0.25
 """Metres by which a lane is drawn beyond its ends, so that the seam of two lanes has no gap."""
 
+_STRETCH = 16.0
+"""Metres of a lane that are drawn at a time: the box around a longer one would be mostly empty."""
 
-@dataclass(frozen=True)
-class DrivableMap:
-    """A town's grid."""
+_LAYERS = 4
+
+
+class DrivableMap(NamedTuple):
+    """A town's grid; rows lie along y, columns along x."""
 
     cells: NDArray[np.uint8]
-    """[rows, columns] share of the cell that is drivable, of 255; rows along y, columns along x."""
+    """[layers, rows, columns] share of the cell that is drivable, of 255."""
+    height: NDArray[np.int16]
+    """[layers, rows, columns] in HEIGHT_UNIT; of no meaning where nothing is drivable."""
+    lowest: NDArray[np.float64]
+    """[tile rows, tile columns] m; infinite where the tile is empty."""
+    highest: NDArray[np.float64]
+    """[tile rows, tile columns] m; minus infinity where the tile is empty."""
     left: float
     """x of the grid's first column's edge, m."""
     top: float
     """y of the grid's first row's edge, m."""
 
 
-@functools.cache
-def drivable_map(town: str) -> DrivableMap:
-    """Grid of a town, drawn once in a process."""
-    return draw_drivable_map(load_town(town).graph)
+_MAPS: dict[int, DrivableMap] = {}
+
+
+def drivable_grid(town: Town) -> DrivableMap:
+    """Grid of a town, drawn once."""
+    if id(town) not in _MAPS:
+        _MAPS[id(town)] = draw_drivable_map(town.graph)
+        weakref.finalize(town, _MAPS.pop, id(town), None)
+    return _MAPS[id(town)]
 
 
 def draw_drivable_map(graph: LaneGraph) -> DrivableMap:
     """Draw the lanes of a graph on a grid."""
     left, top = graph.box[:, :2].min(axis=0) - _MARGIN
     right, bottom = graph.box[:, 2:].max(axis=0) + _MARGIN
-    shape = (math.ceil((bottom - top) / CELL), math.ceil((right - left) / CELL))
-    samples = np.zeros((shape[0] * _SAMPLES, shape[1] * _SAMPLES), dtype=np.bool_)
-    _draw_lanes(graph, left, top, samples)
-    share = samples.reshape(shape[0], _SAMPLES, shape[1], _SAMPLES).mean(axis=(1, 3), dtype=np.float32)
-    return DrivableMap(np.round(share * 255).astype(np.uint8), float(left), float(top))
+    rows, columns = math.ceil((bottom - top) / CELL), math.ceil((right - left) / CELL)
+    samples = np.zeros((_LAYERS, rows, columns), dtype=np.uint16)
+    height = np.zeros((_LAYERS, rows, columns), dtype=np.int16)
+    _draw_lanes(graph, left, top, samples, height)
+    layers = max(1, int(np.count_nonzero(samples.any(axis=(1, 2)))))
+    cells = _COVERAGE[samples[:layers]]
+    lowest, highest = _heights_of_tiles(cells, height[:layers])
+    return DrivableMap(cells, height[:layers].copy(), lowest, highest, float(left), float(top))
+
+
+_COVERAGE = np.array(
+    [round(255 * number.bit_count() / _SAMPLES**2) for number in range(1 << _SAMPLES**2)], dtype=np.uint8
+)
+"""Brightness of a cell by the bit pattern of its points on a lane."""
+
+
+def _heights_of_tiles(
+    cells: NDArray[np.uint8], height: NDArray[np.int16]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least and the greatest height of what is drivable in each tile, m."""
+    shape = tuple(math.ceil(size / TILE) for size in cells.shape[1:])
+    lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
+    for row, column in np.ndindex(*shape):
+        tile = np.s_[:, row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE]
+        heights = height[tile][cells[tile] > 0]
+        if heights.size:
+            lowest[row, column] = heights.min() * HEIGHT_UNIT
+            highest[row, column] = heights.max() * HEIGHT_UNIT
+    return lowest, highest
 
 
 @compiled
-def _draw_lanes(graph: LaneGraph, left: float, top: float, samples: NDArray[np.bool_]) -> None:
-    """Set the sample points that lie on a lane."""
-    step = CELL / _SAMPLES
+def _draw_lanes(
+    graph: LaneGraph, left: float, top: float, samples: NDArray[np.uint16], height: NDArray[np.int16]
+) -> None:
+    """Set the bits of the points that lie on a lane, and the heights of their cells."""
     for lane in range(graph.length.size):
-        first_column = int((graph.box[lane, 0] - left - _JOINT) / step)
-        last_column = int((graph.box[lane, 2] - left + _JOINT) / step)
-        first_row = int((graph.box[lane, 1] - top - _JOINT) / step)
-        last_row = int((graph.box[lane, 3] - top + _JOINT) / step)
-        for row in range(first_row, last_row + 1):
-            for column in range(first_column, last_column + 1):
-                if samples[row, column]:
-                    continue
-                x, y = left + (column + 0.5) * step, top + (row + 0.5) * step
-                along, across = lane_project(graph, lane, x, y)
-                samples[row, column] = (
-                    abs(across) <= graph.width[lane] / 2 and -_JOINT <= along <= graph.length[lane] + _JOINT
-                )
+        start = -_JOINT
+        while start < graph.length[lane] + _JOINT:
+            end = min(start + _STRETCH, graph.length[lane] + _JOINT)
+            _draw_stretch(graph, lane, start, end, left, top, samples, height)
+            start = end
 
 
 @compiled
-def sample_drivable_map(
-    image: NDArray[np.uint8],
-    cells: NDArray[np.uint8],
+def _draw_stretch(
+    graph: LaneGraph,
+    lane: int,
+    start: float,
+    end: float,
     left: float,
     top: float,
-    pixel: float,
-    x: float,
-    y: float,
-    heading: float,
+    samples: NDArray[np.uint16],
+    height: NDArray[np.int16],
 ) -> None:
-    """Fill channel 0 of `image` [size, size, 4] from the grid, interpolating between cells."""
-    cosine, sine = math.cos(heading), math.sin(heading)
-    last_row, last_column = cells.shape[0] - 2, cells.shape[1] - 2
-    for row in range(image.shape[0]):
-        forward = forward_of(row, pixel)
-        for column in range(image.shape[1]):
-            right = right_of(column, pixel)
-            grid_column = (x + forward * cosine - right * sine - left) / CELL - 0.5
-            grid_row = (y + forward * sine + right * cosine - top) / CELL - 0.5
-            i, j = math.floor(grid_row), math.floor(grid_column)
-            if i < 0 or j < 0 or i > last_row or j > last_column:
-                image[row, column, 0] = 0
+    """Draw a lane from `start` to `end`, m along it."""
+    x, y, _ = lane_pose(graph, lane, start)
+    end_x, end_y, _ = lane_pose(graph, lane, end)
+    # An arc bulges beyond its chord by up to length^2 * curvature / 8.
+    reach = 0.5 * graph.width[lane] + abs(graph.curvature[lane]) * (end - start) ** 2 / 8.0
+    step = CELL / _SAMPLES
+    first_column = int((min(x, end_x) - reach - left) / step)
+    last_column = int((max(x, end_x) + reach - left) / step)
+    first_row = int((min(y, end_y) - reach - top) / step)
+    last_row = int((max(y, end_y) + reach - top) / step)
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            along, across = lane_project(graph, lane, left + (column + 0.5) * step, top + (row + 0.5) * step)
+            if abs(across) > 0.5 * graph.width[lane] or along < start or along > end:
                 continue
-            down, along = grid_row - i, grid_column - j
-            upper = cells[i, j] * (1 - along) + cells[i, j + 1] * along
-            lower = cells[i + 1, j] * (1 - along) + cells[i + 1, j + 1] * along
-            image[row, column, 0] = np.uint8(upper * (1 - down) + lower * down + 0.5)
+            here = graph.elevation[lane] + graph.grade[lane] * along
+            i, j = row // _SAMPLES, column // _SAMPLES
+            bit = np.uint16(1 << ((row % _SAMPLES) * _SAMPLES + column % _SAMPLES))
+            for layer in range(samples.shape[0]):
+                if samples[layer, i, j] == 0:
+                    height[layer, i, j] = np.int16(round(here / HEIGHT_UNIT))
+                elif abs(height[layer, i, j] * HEIGHT_UNIT - here) > LEVEL_HEIGHT:
+                    continue
+                samples[layer, i, j] |= bit
+                break

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from ..compilation import compiled
 from ..maps import LaneGraph
 from ..route import Route
-from .drivable import DrivableMap, sample_drivable_map
-from .lidar import draw_lidar, lidar_distances
-from .route_line import draw_route
-from .vehicles import draw_vehicles
-from .window import WINDOW_SIDE
+from .before.drivable import DrivableMap, sample_drivable_map
+from .before.lidar import draw_lidar, lidar_distances
+from .before.route_line import draw_route
+from .before.vehicles import draw_vehicles
+from .before.window import WINDOW_SIDE
 
 CHANNELS = ("drivable", "vehicles", "route", "lidar")
 """What the channels of the image show, in order."""

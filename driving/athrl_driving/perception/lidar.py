@@ -10,54 +10,65 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled, inlined
-from .window import column_of, row_of
+from ..compilation import inlined, inner
+from ..traffic.state import Background
+from .drivable import LEVEL_HEIGHT
+from .window import Window, column_of, row_of
 
 RAYS = 180
-"""Rays round the ego; 2 degrees apart, 0.7 m at the window's far edge."""
+"""Rays round the ego where nothing else is asked for; 2 degrees apart, 0.7 m at the window's far edge."""
 
 LIDAR_RANGE = 40.0
-"""How far a ray reaches, m."""
+"""How far a ray reaches where nothing else is asked for, m."""
 
 
-@compiled
+@inner
 def lidar_distances(
-    ego_x: float,
-    ego_y: float,
-    ego_heading: float,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    length: NDArray[np.float64],
-    width: NDArray[np.float64],
+    window: Window,
+    heading: float,
+    elevation: float,
+    reach: float,
+    ray_cosine: NDArray[np.float64],
+    ray_sine: NDArray[np.float64],
+    vehicles: Background,
 ) -> NDArray[np.float64]:
-    """float64 [RAYS]: metres to the first vehicle in each direction, inf where none is within the range.
+    """float64 [rays]: metres to the first vehicle in each direction, inf where none is within `reach`.
 
-    Ray i points i * 360 / RAYS degrees to the right of the ego's heading.
+    Ray i points i * 360 / rays degrees to the right of the ego's heading.
     """
-    distances = np.full(RAYS, np.inf)
-    spacing = 2 * math.pi / RAYS
-    for vehicle in range(x.size):
-        dx, dy = x[vehicle] - ego_x, y[vehicle] - ego_y
-        half_length, half_width = length[vehicle] / 2, width[vehicle] / 2
-        apart = math.hypot(dx, dy)
-        radius = math.hypot(half_length, half_width)
-        if apart - radius > LIDAR_RANGE:
+    rays = ray_cosine.shape[0]
+    distances = np.full(rays, math.inf)
+    spacing = 2.0 * math.pi / rays
+    x, y, headings, heights = vehicles.x, vehicles.y, vehicles.heading, vehicles.elevation
+    lengths, widths = vehicles.length, vehicles.width
+    for vehicle in range(x.shape[0]):
+        dx, dy = x[vehicle] - window.x, y[vehicle] - window.y
+        half_length, half_width = 0.5 * lengths[vehicle], 0.5 * widths[vehicle]
+        farthest = reach + half_length + half_width
+        if dx * dx + dy * dy > farthest * farthest:
+            continue
+        if abs(heights[vehicle] - elevation) > LEVEL_HEIGHT:
             continue
         # Only the rays that may meet the circle round the vehicle.
+        apart, radius = math.hypot(dx, dy), math.hypot(half_length, half_width)
         spread = math.pi if apart <= radius else math.asin(radius / apart)
-        bearing = math.atan2(dy, dx) - ego_heading
-        first = math.floor((bearing - spread) / spacing)
-        last = min(math.ceil((bearing + spread) / spacing), first + RAYS - 1)
-        cosine, sine = math.cos(heading[vehicle]), math.sin(heading[vehicle])
-        origin_along, origin_across = -(dx * cosine + dy * sine), -(dy * cosine - dx * sine)
-        for ray in range(first, last + 1):
-            angle = ray * spacing + ego_heading - heading[vehicle]
-            distance = _distance_to_box(
-                origin_along, origin_across, math.cos(angle), math.sin(angle), half_length, half_width
-            )
-            if distance <= LIDAR_RANGE and distance < distances[ray % RAYS]:
-                distances[ray % RAYS] = distance
+        bearing = math.atan2(dy, dx) - heading
+        first = math.ceil((bearing - spread) / spacing)
+        count = min(math.floor((bearing + spread) / spacing) - first + 1, rays)
+        angle = heading - headings[vehicle]
+        cosine, sine = math.cos(angle), math.sin(angle)
+        own_cosine, own_sine = math.cos(headings[vehicle]), math.sin(headings[vehicle])
+        along, across = -(dx * own_cosine + dy * own_sine), dx * own_sine - dy * own_cosine
+        ray = first % rays
+        for _ in range(count):
+            step_along = ray_cosine[ray] * cosine - ray_sine[ray] * sine
+            step_across = ray_cosine[ray] * sine + ray_sine[ray] * cosine
+            distance = _distance_to_box(along, across, step_along, step_across, half_length, half_width)
+            if distance <= reach and distance < distances[ray]:
+                distances[ray] = distance
+            ray += 1
+            if ray == rays:
+                ray = 0
     return distances
 
 
@@ -66,28 +77,33 @@ def _distance_to_box(
     along: float, across: float, step_along: float, step_across: float, half_length: float, half_width: float
 ) -> float:
     """Metres from a point to a box about the origin in a direction, 0 inside, inf where the ray misses it."""
-    near, far = 0.0, np.inf
-    for axis in range(2):
-        start = along if axis == 0 else across
-        step = step_along if axis == 0 else step_across
-        half = half_length if axis == 0 else half_width
-        if abs(step) < 1e-12:
-            if abs(start) > half:
-                return np.inf
-            continue
-        one, other = (-half - start) / step, (half - start) / step
+    near, far = 0.0, math.inf
+    if abs(step_along) > 1e-12:
+        one, other = (-half_length - along) / step_along, (half_length - along) / step_along
         near, far = max(near, min(one, other)), min(far, max(one, other))
-    return near if near <= far else np.inf
+    elif abs(along) > half_length:
+        return math.inf
+    if abs(step_across) > 1e-12:
+        one, other = (-half_width - across) / step_across, (half_width - across) / step_across
+        near, far = max(near, min(one, other)), min(far, max(one, other))
+    elif abs(across) > half_width:
+        return math.inf
+    return near if near <= far else math.inf
 
 
-@compiled
-def draw_lidar(image: NDArray[np.uint8], pixel: float, distances: NDArray[np.float64]) -> None:
+@inlined
+def draw_lidar(
+    image: NDArray[np.uint8],
+    window: Window,
+    distances: NDArray[np.float64],
+    ray_cosine: NDArray[np.float64],
+    ray_sine: NDArray[np.float64],
+) -> None:
     """Mark on channel 3 the pixels where rays ended."""
-    spacing = 2 * math.pi / RAYS
-    for ray in range(distances.size):
-        if distances[ray] == np.inf:
+    for ray in range(distances.shape[0]):
+        if distances[ray] == math.inf:
             continue
-        row = round(row_of(distances[ray] * math.cos(ray * spacing), pixel))
-        column = round(column_of(distances[ray] * math.sin(ray * spacing), pixel))
+        row = round(row_of(window, distances[ray] * ray_cosine[ray]))
+        column = round(column_of(window, distances[ray] * ray_sine[ray]))
         if 0 <= row < image.shape[0] and 0 <= column < image.shape[1]:
             image[row, column, 3] = 255

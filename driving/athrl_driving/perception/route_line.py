@@ -1,4 +1,7 @@
-"""Channel 2, the ego's route: a soft line along the middle of its lanes, behind and ahead of the ego."""
+"""Channel 2, the ego's route: a soft line along it, behind and ahead of the ego.
+
+Beyond a stop line whose light is not green the line has half its brightness.
+"""
 
 from __future__ import annotations
 
@@ -7,52 +10,139 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled
+from ..compilation import inlined, part
+from ..maps.lane_graph import Signals
 from ..route.following import piece_pose
-from ..route.state import LENGTH, START_POSITION
-from .window import column_of, row_of
+from ..route.state import CURVATURE, LENGTH, START_POSITION, RouteState
+from ..traffic.state import Traffic
+from .drivable import LEVEL_HEIGHT
+from .window import Window, column_of, in_frame, row_of
 
 LINE_REACH = 1.5
 """Pixels from the line's middle to where its brightness has faded to nothing."""
 
-LINE_STEP = 0.5
-"""Distance between the points that the line is drawn through, pixels."""
+STOPPED_BRIGHTNESS = 0.5
+"""Share of its brightness that the line keeps beyond a light that is not green."""
 
-LINE_BEHIND, LINE_AHEAD = 20.0, 36.0
-"""Stretch of the route that can be inside the window, m; 36 m ahead leave it even on a bend."""
+_STEP = 1.0
+"""Length of the straight bits that the line is drawn with, pixels."""
 
 
-@compiled
+@inlined
 def draw_route(
-    image: NDArray[np.uint8],
-    pixel: float,
-    x: float,
-    y: float,
-    heading: float,
-    pieces: NDArray[np.float64],
-    count: int,
-    position: float,
+    image: NDArray[np.uint8], window: Window, elevation: float, traffic: Traffic, route: RouteState
 ) -> None:
     """Draw the route on channel 2: 255 on its middle, falling linearly to 0 at LINE_REACH pixels from it."""
-    cosine, sine = math.cos(heading), math.sin(heading)
-    size = image.shape[0]
-    index = 0
-    distance = max(position - LINE_BEHIND, pieces[0, START_POSITION])
-    end = min(position + LINE_AHEAD, pieces[count - 1, START_POSITION] + pieces[count - 1, LENGTH])
-    while distance < end:
-        while index + 1 < count and distance >= pieces[index + 1, START_POSITION]:
-            index += 1
-        point_x, point_y, _ = piece_pose(pieces, index, distance)
-        distance += LINE_STEP * pixel
-        dx, dy = point_x - x, point_y - y
-        line_row = row_of(dx * cosine + dy * sine, pixel)
-        line_column = column_of(dy * cosine - dx * sine, pixel)
-        if not (-2.0 < line_row < size + 1.0 and -2.0 < line_column < size + 1.0):
+    elevations, grades = traffic.graph.elevation, traffic.graph.grade
+    pieces, rows, row_starts = route.pieces, route.row, route.row_start
+    behind = 2.0 * window.aside - window.ahead
+    # What of the route can be inside the window, even on a bend.
+    first = route.position[0] - 1.25 * math.hypot(behind, window.aside)
+    last = route.position[0] + 1.5 * math.hypot(window.ahead, window.aside)
+    stop = _stop_position(traffic, route)
+    for index in range(route.piece_count[0]):
+        begin = pieces[index, START_POSITION]
+        end = min(begin + pieces[index, LENGTH], last)
+        height = elevations[rows[index]] + grades[rows[index]] * row_starts[index]
+        if end <= first or abs(height - elevation) > LEVEL_HEIGHT:
             continue
-        first_row, first_column = math.ceil(line_row - LINE_REACH), math.ceil(line_column - LINE_REACH)
-        for row in range(max(first_row, 0), min(int(line_row + LINE_REACH) + 1, size)):
-            for column in range(max(first_column, 0), min(int(line_column + LINE_REACH) + 1, size)):
-                apart = math.sqrt((row - line_row) ** 2 + (column - line_column) ** 2)
-                value = np.uint8(255.0 * max(1.0 - apart / LINE_REACH, 0.0) + 0.5)
+        if begin >= last:
+            break
+        _draw_piece(image, window, pieces, index, max(begin, first), end, stop)
+
+
+@inlined
+def _stop_position(traffic: Traffic, route: RouteState) -> float:
+    """Return where along the route the first light ahead that is not green holds it up, m; infinite if none.
+
+    The way through a junction that the ego is already on does not count.
+    """
+    if traffic.signals.cycle.shape[0] == 0:
+        return math.inf
+    movement_of = traffic.graph.movement
+    present = movement_of[route.row[route.ego_piece[0]]]
+    for index in range(route.ego_piece[0] + 1, route.piece_count[0]):
+        movement = movement_of[route.row[index]]
+        if movement >= 0 and movement != present:
+            if not _is_green(traffic.signals, traffic.movements.signal[movement], traffic.scratch.clock[0]):
+                return route.pieces[index, START_POSITION]
+            present = movement
+    return math.inf
+
+
+@inlined
+def _is_green(signals: Signals, group: int, clock: float) -> bool:
+    """Tell whether a group of lights (-1: there is none) is green at a time, s."""
+    if group < 0:
+        return True
+    cycle = signals.cycle[group]
+    since = (clock - signals.green_from[group]) % cycle
+    return since < (signals.green_until[group] - signals.green_from[group]) % cycle
+
+
+@part
+def _draw_piece(
+    image: NDArray[np.uint8],
+    window: Window,
+    pieces: NDArray[np.float64],
+    index: int,
+    begin: float,
+    end: float,
+    stop: float,
+) -> None:
+    """Draw a piece from `begin` to `end` (m along the route) as straight bits about a pixel long."""
+    straight = pieces[index, CURVATURE] == 0.0
+    bits = max(1, math.ceil((end - begin) / (_STEP * window.pixel)))
+    length = (end - begin) / bits
+    x, y, heading = piece_pose(pieces, index, begin)
+    forward, right = in_frame(window, x, y)
+    line_row, line_column = row_of(window, forward), column_of(window, right)
+    # Along a bit the row falls and the column grows; on an arc this direction turns from bit to bit.
+    turn = pieces[index, CURVATURE] * length
+    cosine, sine = math.cos(heading + 0.5 * turn), math.sin(heading + 0.5 * turn)
+    down = -(cosine * window.cosine + sine * window.sine)
+    along = sine * window.cosine - cosine * window.sine
+    turn_cosine, turn_sine = math.cos(turn), math.sin(turn)
+    chord = length / window.pixel
+    if not straight:
+        chord *= math.sin(0.5 * turn) / (0.5 * turn)
+    size = image.shape[0]
+    for bit in range(bits):
+        next_row, next_column = line_row + down * chord, line_column + along * chord
+        if -2.0 < line_row < size + 1.0 and -2.0 < line_column < size + 1.0:
+            brightness = 255.0 if begin + bit * length < stop else 255.0 * STOPPED_BRIGHTNESS
+            _draw_bit(image, line_row, line_column, next_row, next_column, down, along, chord, brightness)
+        line_row, line_column = next_row, next_column
+        if not straight:
+            down, along = down * turn_cosine + along * turn_sine, along * turn_cosine - down * turn_sine
+
+
+@inlined
+def _draw_bit(
+    image: NDArray[np.uint8],
+    row_from: float,
+    column_from: float,
+    row_to: float,
+    column_to: float,
+    down: float,
+    along: float,
+    length: float,
+    brightness: float,
+) -> None:
+    """Draw a straight bit of the line, all in pixels: each pixel by its distance from the bit."""
+    last = image.shape[0] - 1
+    first_row = max(math.ceil(min(row_from, row_to) - LINE_REACH), 0)
+    last_row = min(math.floor(max(row_from, row_to) + LINE_REACH), last)
+    first_column = max(math.ceil(min(column_from, column_to) - LINE_REACH), 0)
+    last_column = min(math.floor(max(column_from, column_to) + LINE_REACH), last)
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            row_off, column_off = row - row_from, column - column_from
+            driven = min(max(row_off * down + column_off * along, 0.0), length)
+            row_off -= driven * down
+            column_off -= driven * along
+            square = row_off * row_off + column_off * column_off
+            if square < LINE_REACH * LINE_REACH:
+                value = int(brightness * (1.0 - math.sqrt(square) / LINE_REACH) + 0.5)
                 if value > image[row, column, 2]:
                     image[row, column, 2] = value

@@ -13,8 +13,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled
-from .window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE, column_of, forward_of, right_of, row_of
+from ..compilation import inlined, part
+from ..maps.lane_graph import LaneGraph
+from ..traffic.state import Background
+from .drivable import LEVEL_HEIGHT
+from .window import Window, column_of, forward_of, in_frame, right_of, row_of
 
 FORESIGHT_INTERVAL = 0.25
 """Time between the drawn places, s."""
@@ -29,11 +32,48 @@ STANDING_SPEED = 0.2
 """Below this speed (m/s) a vehicle counts as standing."""
 
 
-@compiled
+@inlined
+def draw_vehicles(
+    image: NDArray[np.uint8],
+    window: Window,
+    heading: float,
+    elevation: float,
+    graph: LaneGraph,
+    vehicles: Background,
+) -> None:
+    """Draw bodies and foresight on channel 1; a vehicle turns as its speed and its lane's bend make it."""
+    x, y, headings, heights = vehicles.x, vehicles.y, vehicles.heading, vehicles.elevation
+    speeds, lengths, widths, lanes = vehicles.speed, vehicles.length, vehicles.width, vehicles.lane
+    curvature = graph.curvature
+    behind = 2.0 * window.aside - window.ahead
+    for vehicle in range(x.shape[0]):
+        forward, right = in_frame(window, x[vehicle], y[vehicle])
+        speed = speeds[vehicle]
+        reach = abs(speed) * FORESIGHT_INTERVAL * FORESIGHT_STEPS + lengths[vehicle]
+        if abs(right) > window.aside + reach or forward > window.ahead + reach or forward < -behind - reach:
+            continue
+        if abs(heights[vehicle] - elevation) > LEVEL_HEIGHT:
+            continue
+        angle = headings[vehicle] - heading
+        half_length, half_width = 0.5 * lengths[vehicle], 0.5 * widths[vehicle]
+        turning = speed * curvature[lanes[vehicle]]
+        brightness = 255.0
+        for step in range(FORESIGHT_STEPS + 1):
+            draw_body(image, window, forward, right, angle, half_length, half_width, brightness)
+            if abs(speed) < STANDING_SPEED:
+                break
+            # The chord of the arc driven in one step lies along the mean of its two headings.
+            middle = angle + 0.5 * turning * FORESIGHT_INTERVAL
+            forward += speed * FORESIGHT_INTERVAL * math.cos(middle)
+            right += speed * FORESIGHT_INTERVAL * math.sin(middle)
+            angle += turning * FORESIGHT_INTERVAL
+            brightness = FORESIGHT_BRIGHTNESS * (FORESIGHT_STEPS - step) / FORESIGHT_STEPS
+
+
+@part
 def draw_body(
     image: NDArray[np.uint8],
-    channel: int,
-    pixel: float,
+    window: Window,
     forward: float,
     right: float,
     heading: float,
@@ -43,63 +83,26 @@ def draw_body(
 ) -> None:
     """Draw a rectangle given in the ego's frame; edges are anti-aliased, brighter pixels stay."""
     cosine, sine = math.cos(heading), math.sin(heading)
-    reach_forward = abs(half_length * cosine) + abs(half_width * sine) + pixel
-    reach_right = abs(half_length * sine) + abs(half_width * cosine) + pixel
-    first_row = max(0, math.floor(row_of(forward + reach_forward, pixel)))
-    last_row = min(image.shape[0] - 1, math.ceil(row_of(forward - reach_forward, pixel)))
-    first_column = max(0, math.floor(column_of(right - reach_right, pixel)))
-    last_column = min(image.shape[1] - 1, math.ceil(column_of(right + reach_right, pixel)))
+    pixel = window.pixel
+    # The soft edge reaches half a pixel beyond each side.
+    outer_length, outer_width = half_length + 0.5 * pixel, half_width + 0.5 * pixel
+    reach_forward = abs(outer_length * cosine) + abs(outer_width * sine)
+    reach_right = abs(outer_length * sine) + abs(outer_width * cosine)
+    first_row = max(0, math.ceil(row_of(window, forward + reach_forward)))
+    last_row = min(image.shape[0] - 1, math.floor(row_of(window, forward - reach_forward)))
+    first_column = max(0, math.ceil(column_of(window, right - reach_right)))
+    last_column = min(image.shape[1] - 1, math.floor(column_of(window, right + reach_right)))
+    # In pixels, so that a pixel's share is what the edge leaves of it.
+    length, width = outer_length / pixel, outer_width / pixel
+    along_step, across_step = cosine / pixel, sine / pixel
     for row in range(first_row, last_row + 1):
-        ahead = forward_of(row, pixel) - forward
+        ahead = forward_of(window, row) - forward
         for column in range(first_column, last_column + 1):
-            aside = right_of(column, pixel) - right
-            along = abs(ahead * cosine + aside * sine)
-            across = abs(aside * cosine - ahead * sine)
-            covered_along = min(max((half_length - along) / pixel + 0.5, 0.0), 1.0)
-            covered_across = min(max((half_width - across) / pixel + 0.5, 0.0), 1.0)
-            value = np.uint8(brightness * covered_along * covered_across + 0.5)
-            if value > image[row, column, channel]:
-                image[row, column, channel] = value
-
-
-@compiled
-def draw_vehicles(
-    image: NDArray[np.uint8],
-    pixel: float,
-    ego_x: float,
-    ego_y: float,
-    ego_heading: float,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    turning: NDArray[np.float64],
-    length: NDArray[np.float64],
-    width: NDArray[np.float64],
-) -> None:
-    """Draw bodies and foresight of all vehicles on channel 1; `turning` is the heading's rate, rad/s."""
-    cosine, sine = math.cos(ego_heading), math.sin(ego_heading)
-    for vehicle in range(x.size):
-        dx, dy = x[vehicle] - ego_x, y[vehicle] - ego_y
-        forward, right = dx * cosine + dy * sine, dy * cosine - dx * sine
-        travel = abs(speed[vehicle]) * FORESIGHT_INTERVAL * FORESIGHT_STEPS
-        reach = travel + length[vehicle]
-        if (
-            abs(right) > WINDOW_SIDE / 2 + reach
-            or forward > WINDOW_SIDE - EGO_ABOVE_LOWER_EDGE + reach
-            or forward < -EGO_ABOVE_LOWER_EDGE - reach
-        ):
-            continue
-        angle = heading[vehicle] - ego_heading
-        half_length, half_width = length[vehicle] / 2, width[vehicle] / 2
-        draw_body(image, 1, pixel, forward, right, angle, half_length, half_width, 255.0)
-        if abs(speed[vehicle]) < STANDING_SPEED:
-            continue
-        for step in range(1, FORESIGHT_STEPS + 1):
-            # The chord of the arc driven in one step lies along the mean of its two headings.
-            middle = angle + 0.5 * turning[vehicle] * FORESIGHT_INTERVAL
-            forward += speed[vehicle] * FORESIGHT_INTERVAL * math.cos(middle)
-            right += speed[vehicle] * FORESIGHT_INTERVAL * math.sin(middle)
-            angle += turning[vehicle] * FORESIGHT_INTERVAL
-            brightness = FORESIGHT_BRIGHTNESS * (FORESIGHT_STEPS + 1 - step) / FORESIGHT_STEPS
-            draw_body(image, 1, pixel, forward, right, angle, half_length, half_width, brightness)
+            aside = right_of(window, column) - right
+            along = min(length - abs(ahead * along_step + aside * across_step), 1.0)
+            across = min(width - abs(aside * along_step - ahead * across_step), 1.0)
+            if along <= 0.0 or across <= 0.0:
+                continue
+            value = int(brightness * along * across + 0.5)
+            if value > image[row, column, 1]:
+                image[row, column, 1] = value

@@ -77,7 +77,8 @@ def start_route(
     route.position[0] = -s
     route.lateral[0] = 0.0
     route.plan_count[0], route.plan_next[0] = plan.shape[0], 0
-    route.plan[: plan.shape[0]] = plan
+    for place in range(plan.shape[0]):
+        route.plan[place] = plan[place]
     route.destination_s[0], route.arrival[0] = destination_s, math.inf
     route.laid_row[0], route.laid_s[0] = row, s
     x, y, heading = lane_pose(graph, row, 0.0)

@@ -26,6 +26,10 @@ CHANGE_LENGTH = 30.0
 KNOWN_AHEAD = 100.0
 """Metres of route ahead of the ego that are laid at a time."""
 
+_LEAST_CHANGE_LENGTH = 15.0
+_TOO_SHORT = 4.0
+_PAST_DESTINATION = 5.0
+
 _PIECES_OF_A_CHANGE = 34
 """A change that takes more rows than this ends where they do."""
 
@@ -75,16 +79,38 @@ def extend(graph: LaneGraph, route: RouteState) -> None:
         and route.piece_count[0] + _PIECES_OF_A_CHANGE + 2 < PIECES
     ):
         row, s = route.laid_row[0], route.laid_s[0]
+        if _is_on_last_planned(route):
+            _lay_past_destination(graph, route)
+            continue
         beside = _next_change(graph, route)
         if beside >= 0:
-            _lay_change(graph, route, row, beside, s)
-            continue
+            room = _room_for_change(graph, route, beside, s * graph.length[beside] / graph.length[row])
+            if room > _TOO_SHORT:
+                _lay_change(graph, route, row, beside, s, room)
+                continue
         x, y, heading = lane_pose(graph, row, s)
         append_piece(route, x, y, heading, graph.curvature[row], graph.length[row] - s, row, s)
         following = _next_row(graph, route, row)
         if following == _NONE:
             return
         _go_to(route, following, 0.0)
+
+
+@inlined
+def _is_on_last_planned(route: RouteState) -> bool:
+    """Tell whether the route ends on the plan's last row."""
+    return route.plan_count[0] > 0 and route.plan_next[0] == route.plan_count[0] - 1
+
+
+@inlined
+def _lay_past_destination(graph: LaneGraph, route: RouteState) -> None:
+    """Lay the plan's last row until a little after the destination; from there on turns are drawn."""
+    row, s = route.laid_row[0], route.laid_s[0]
+    end = min(max(route.destination_s[0], s) + _PAST_DESTINATION, graph.length[row])
+    x, y, heading = lane_pose(graph, row, s)
+    append_piece(route, x, y, heading, graph.curvature[row], end - s, row, s)
+    route.laid_s[0] = end
+    route.plan_count[0] = 0
 
 
 @inlined
@@ -101,7 +127,7 @@ def _go_to(route: RouteState, row: int, s: float) -> None:
 @inlined
 def note_arrival(route: RouteState) -> None:
     """Find the destination's place along the route once the last row of the plan is reached."""
-    if route.plan_count[0] > 0 and route.plan_next[0] == route.plan_count[0] - 1:
+    if _is_on_last_planned(route):
         end = laid_position(route) if route.piece_count[0] > 0 else 0.0
         route.arrival[0] = end + max(route.destination_s[0] - route.laid_s[0], 0.0)
 
@@ -197,14 +223,16 @@ def _room_for_change(graph: LaneGraph, route: RouteState, beside: int, s: float)
     if further != _NONE and further in (graph.left[beside], graph.right[beside]):
         # The next change has to be made on this row too.
         room = 0.5 * (graph.length[beside] - s)
+    elif further == _NONE and route.plan_count[0] > 0:
+        # The destination is on this row.
+        room = min(room, max(graph.length[beside] - s, _LEAST_CHANGE_LENGTH))
     return min(room, CHANGE_LENGTH)
 
 
 @inlined
-def _lay_change(graph: LaneGraph, route: RouteState, row: int, beside: int, s: float) -> None:
-    """Lay an S from `s` metres along a row to a row beside it or one that follows that."""
+def _lay_change(graph: LaneGraph, route: RouteState, row: int, beside: int, s: float, room: float) -> None:
+    """Lay an S from `s` metres along a row to `room` metres further on one beside it or one that follows."""
     target, target_s = beside, s * graph.length[beside] / graph.length[row]
-    room = _room_for_change(graph, route, beside, target_s)
     x, y, heading = lane_pose(graph, row, s)
     _go_to(route, target, target_s)
     # Where on the target's rows the S ends, and its two arcs from there.
@@ -215,8 +243,9 @@ def _lay_change(graph: LaneGraph, route: RouteState, row: int, beside: int, s: f
         end = graph.successor[graph.successor_start[end]]
         steps += 1
     end_s = min(end_s, graph.length[end])
+    end_x, end_y, end_heading = lane_pose(graph, end, end_s)
     first_curvature, first_length, second_curvature, second_length = _two_arcs(
-        x, y, heading, *lane_pose(graph, end, end_s)
+        x, y, heading, end_x, end_y, end_heading
     )
     total = first_length + second_length
     along, driven, curvature = 0.0, 0.0, first_curvature

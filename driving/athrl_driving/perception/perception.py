@@ -1,0 +1,136 @@
+"""What is seen around the ego, and how: settings and the town's surface in one tuple, and the image."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import compiled, inlined
+from ..maps import Town
+from ..maps.lane_graph import Floats
+from ..route.state import RouteState, environment_route
+from ..traffic.state import Traffic, environment_traffic
+from .drivable import DrivableMap, drivable_grid
+from .lidar import LIDAR_RANGE, RAYS, draw_lidar, lidar_distances
+from .route_line import draw_route
+from .surface import draw_surface
+from .vehicles import draw_vehicles
+from .window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE, Window
+
+CHANNELS = ("drivable", "vehicles", "route", "lidar")
+"""What the channels of the image show, in order."""
+
+
+class Perception(NamedTuple):
+    """The window, the lidar and the town; the image's size is that of the array it is drawn into."""
+
+    window_side: float
+    """m."""
+    ego_above_lower_edge: float
+    """m from the window's lower edge to the ego's centre, which is in the middle from left to right."""
+    lidar_range: float
+    """m."""
+    ray_cosine: Floats
+    """[rays] of each ray's angle to the ego's heading."""
+    ray_sine: Floats
+    """[rays]"""
+    drivable: DrivableMap
+
+
+def new_perception(
+    town: Town,
+    *,
+    window_side: float = WINDOW_SIDE,
+    ego_above_lower_edge: float = EGO_ABOVE_LOWER_EDGE,
+    lidar_range: float = LIDAR_RANGE,
+    lidar_rays: int = RAYS,
+) -> Perception:
+    """Prepare to draw images of a town; the lengths are metres.
+
+    Raises ValueError, in one line, for a value that cannot be.
+    """
+    if not 4.0 <= window_side <= 1000.0:
+        raise ValueError(f"the setting window_side is {window_side!r}, it should be from 4 to 1000 m")
+    if not 0.0 <= ego_above_lower_edge <= window_side:
+        raise ValueError(
+            f"the setting ego_above_lower_edge is {ego_above_lower_edge!r}, "
+            f"it should be from 0 to the window's side of {window_side:g} m"
+        )
+    if not 0.0 < lidar_range <= 1000.0:
+        raise ValueError(f"the setting lidar_range is {lidar_range!r}, it should be above 0, at most 1000 m")
+    if not 4 <= lidar_rays <= 7200:
+        raise ValueError(f"the setting lidar_rays is {lidar_rays!r}, it should be from 4 to 7200")
+    angles = np.arange(lidar_rays) * (2.0 * math.pi / lidar_rays)
+    return Perception(
+        float(window_side),
+        float(ego_above_lower_edge),
+        float(lidar_range),
+        np.cos(angles),
+        np.sin(angles),
+        drivable_grid(town),
+    )
+
+
+@inlined
+def draw_surroundings(
+    perception: Perception, traffic: Traffic, route: RouteState, ego: Floats, image: NDArray[np.uint8]
+) -> None:
+    """Draw all channels of one environment into `image` uint8 [size, size, 4], whatever it held before.
+
+    `traffic` and `route` are the environment's views; `ego` is float64 [8]: x, y, heading, speed, length,
+    width, elevation, present.
+    """
+    heading, elevation = ego[2], ego[6]
+    window = Window(
+        ego[0],
+        ego[1],
+        math.cos(heading),
+        math.sin(heading),
+        perception.window_side / image.shape[0],
+        perception.window_side - perception.ego_above_lower_edge,
+        0.5 * perception.window_side,
+    )
+    draw_surface(image, window, perception.drivable, elevation)
+    draw_vehicles(image, window, heading, elevation, traffic.graph, traffic.background)
+    draw_route(image, window, elevation, traffic, route)
+    distances = lidar_distances(
+        window,
+        heading,
+        elevation,
+        perception.lidar_range,
+        perception.ray_cosine,
+        perception.ray_sine,
+        traffic.background,
+    )
+    draw_lidar(image, window, distances, perception.ray_cosine, perception.ray_sine)
+
+
+@compiled
+def draw_images(
+    perception: Perception, traffic: Traffic, routes: RouteState, egos: Floats, images: NDArray[np.uint8]
+) -> None:
+    """Draw the images uint8 [E, size, size, 4] of E environments; `egos` is float64 [E, 8]."""
+    for e in range(images.shape[0]):
+        draw_surroundings(
+            perception, environment_traffic(traffic, e), environment_route(routes, e), egos[e], images[e]
+        )
+
+
+@compiled
+def lidar_scan(
+    perception: Perception, traffic: Traffic, environment: int, ego: Floats
+) -> NDArray[np.float64]:
+    """float64 [rays]: metres to the first vehicle in each direction, inf where none is within the range."""
+    window = Window(ego[0], ego[1], math.cos(ego[2]), math.sin(ego[2]), 1.0, 0.0, 0.0)
+    return lidar_distances(
+        window,
+        ego[2],
+        ego[6],
+        perception.lidar_range,
+        perception.ray_cosine,
+        perception.ray_sine,
+        environment_traffic(traffic, environment).background,
+    )
