@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import textwrap
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from athrl_planners import AtHRL
 from athrl_protocol import ChunkIntake, RunFile
 from athrl_protocol.ledger import Ledger
@@ -43,7 +43,7 @@ def take_snapshot(
             "replay": store.replay.state(),
         }
         position = store.log_position()
-    return CheckpointContent(state=state, agent=copy.deepcopy(agent.state_dict()), log=position)
+    return CheckpointContent(state=state, agent=_copied(agent.state_dict()), log=position)
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,17 @@ def restore_snapshot(content: CheckpointContent | None, agent: AtHRL, store: Exp
         # The limiter would permit samples of nothing, for ever.
         raise CannotResume("the checkpoint's limiter has counted experience that its replay does not hold")
     return Restored(ledger, recovery.chunks, int(state.get("damaged", 0)) + recovery.damaged)
+
+
+def _copied(state: Any) -> Any:
+    """The same dictionaries and lists with copies of their tensors; many times faster than a deep copy."""
+    if isinstance(state, torch.Tensor):
+        return state.detach().clone()
+    if isinstance(state, dict):
+        return {name: _copied(value) for name, value in state.items()}
+    if isinstance(state, list | tuple):
+        return type(state)(_copied(value) for value in state)
+    return state
 
 
 def saved_version(content: CheckpointContent) -> int:

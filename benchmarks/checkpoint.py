@@ -1,0 +1,138 @@
+"""How long a checkpoint stops training, beside a copy of the replay, and how long going on from it takes.
+
+The learner of the default run file, with a full replay. "Snapshot" is what training waits for; writing
+happens beside it. "Copy" is what a checkpoint that holds the replay would have to do in the same place.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import socket
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+from athrl_learner import translation
+from athrl_learner.arrivals import Arrivals
+from athrl_learner.checkpoint import CheckpointContent, read_checkpoint, write_checkpoint
+from athrl_learner.parts import make_experience
+from athrl_learner.run import short_collections
+from athrl_learner.snapshot import restore_snapshot, take_snapshot
+from athrl_learner.store import ExperienceStore
+from athrl_planners import AtHRL
+from athrl_protocol import ChunkIntake, RunFile, encode_chunk, open_session, read_run_file
+
+from benchmarks.experience import made_up_chunk, numbered
+
+#: Different chunks; the replay holds each of them many times.
+_DIFFERENT = 50
+
+
+def filled(run_file: RunFile, folder: Path, agent: AtHRL) -> ExperienceStore:
+    """A store whose replay is full."""
+    store = make_experience(run_file, agent, Arrivals(), translation.make_log(run_file, folder))
+    chunks = [made_up_chunk(run_file.replay.sequence_length, seed=seed) for seed in range(_DIFFERENT)]
+    for sequence in range(store.replay.slots):
+        chunk = numbered(chunks[sequence % _DIFFERENT], sequence)
+        store.accept(chunk, encode_chunk(chunk))
+    return store
+
+
+def free_address() -> str:
+    """An address of this machine at which nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def milliseconds_of_snapshots(
+    run_file: RunFile, agent: AtHRL, store: ExperienceStore, repeats: int
+) -> tuple[list[tuple[float, float]], CheckpointContent]:
+    """What each of `repeats` snapshots between two updates took, of the clock and of a core; the last one."""
+    taken = []
+    with (
+        open_session(listen=free_address(), timeout=10) as session,
+        ChunkIntake(session, "benchmark", store) as intake,
+    ):
+        for _ in range(repeats):
+            agent.update(store.replay.sample(run_file.learner.batch))
+            began, busy = time.perf_counter(), time.thread_time()
+            content = take_snapshot(run_file, agent, store, intake, policy_version=1)
+            taken.append((1000 * (time.perf_counter() - began), 1000 * (time.thread_time() - busy)))
+    return taken, content
+
+
+def milliseconds_of_copies(store: ExperienceStore, repeats: int) -> list[float]:
+    """What it takes to copy the replay's columns."""
+    taken = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        copies = [column.copy() for column in store.replay._columns.values()]
+        taken.append(1000 * (time.perf_counter() - began))
+        del copies
+    return taken
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--transitions", type=int, default=100_000, help="in the replay")
+    parser.add_argument("--repeats", type=int, default=20, help="snapshots")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run_file = read_run_file(
+            None,
+            [
+                f"replay.capacity={arguments.transitions}",
+                "learner.samples_per_insert=0.001",
+                f"run.environment_steps={10 * arguments.transitions}",
+            ],
+        )
+        torch.set_num_threads(run_file.learner.threads)
+        agent = translation.make_agent(run_file)
+        store = filled(run_file, folder / "experience", agent)
+        with short_collections():
+            snapshots, content = milliseconds_of_snapshots(run_file, agent, store, arguments.repeats)
+        copies = milliseconds_of_copies(store, 3)
+        began = time.perf_counter()
+        store.log.sync()
+        path = write_checkpoint(folder / "checkpoints", content)
+        written = time.perf_counter() - began
+        other = translation.make_agent(run_file)
+        restored = make_experience(
+            run_file, other, Arrivals(), translation.make_log(run_file, folder / "experience")
+        )
+        began = time.perf_counter()
+        restore_snapshot(read_checkpoint(path), other, restored)
+        resumed = time.perf_counter() - began
+        clock, core = (sorted(values) for values in zip(*snapshots, strict=True))
+        result = {
+            "transitions": len(store.replay),
+            "snapshot_ms_median": statistics.median(clock),
+            "snapshot_ms_worst": clock[-1],
+            "snapshot_cpu_ms_median": statistics.median(core),
+            "snapshot_cpu_ms_worst": core[-1],
+            "copy_ms_median": statistics.median(copies),
+            "ratio": statistics.median(copies) / statistics.median(clock),
+            "write_s": written,
+            "checkpoint_bytes": sum(file.stat().st_size for file in path.iterdir()),
+            "log_bytes": store.log.size_bytes,
+            "resume_s": resumed,
+        }
+        store.log.close()
+        restored.log.close()
+    print(
+        f"{result['transitions']} transitions: training waits {result['snapshot_ms_median']:.1f} ms for a "
+        f"snapshot ({result['snapshot_ms_worst']:.1f} ms at worst, of which a core works "
+        f"{result['snapshot_cpu_ms_worst']:.1f} ms); a copy of the replay takes "
+        f"{result['ratio']:.0f} times as long; resumed in {resumed:.1f} s"
+    )
+    print(json.dumps({name: round(value, 3) for name, value in result.items()}))
+
+
+if __name__ == "__main__":
+    main()
