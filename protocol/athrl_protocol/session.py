@@ -37,6 +37,10 @@ ATTEMPT_SECONDS = 1.0
 PAUSE_SECONDS = 0.1
 # A refusal may pass: certificates are being renewed, a learner is being replaced.
 REFUSED_SECONDS = 3.0
+_SILENCE = {
+    False: "somebody listens there who is no learner",
+    True: "somebody listens there who does not answer in TLS, no learner or one without certificates",
+}
 
 
 def open_session(
@@ -168,10 +172,10 @@ def _connect(
                 return zenoh.open(_client_configuration(address, shown))
             except zenoh.ZError:
                 refusal = why_not_admitted(address, shown, ATTEMPT_SECONDS)
-                cause = refusal or "somebody listens there who is no learner"
+                cause = refusal or _SILENCE[shown is not None]
         waited = time.monotonic() - began
         if refusal is not None and waited >= min(timeout, REFUSED_SECONDS):
-            raise NotAdmitted(f"the learner at {address} and this service do not trust each other: {refusal}")
+            raise NotAdmitted(f"the learner at {address} was reached and not joined: {refusal}")
         if waited >= timeout or stop.wait(PAUSE_SECONDS):
             raise LearnerNotFound(
                 f"no learner at {address} within {timeout:g} s ({cause}): start it, or give its address"

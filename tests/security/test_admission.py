@@ -1,0 +1,164 @@
+"""Who has no certificate of the run's authority does not get in, is told so, and so is the operator."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+import zenoh
+from athrl.certificates import AUTHORITY, Identity, _load_authority, _new_role, _write_role
+from athrl_protocol import LearnerNotFound, NotAdmitted, ProtocolError, fetch_run_file, open_session
+
+from athrl import certificates
+
+SECONDS = 90.0
+PATIENCE = 30.0
+
+
+@pytest.fixture
+def learner_process(command, tiny: list[str], port: int, ours: Path, eventually):
+    """`athrl learner` as a process, which knows services by certificates."""
+    process = command.start("learner", *tiny, "--set", "run.name=guarded", "--certificates", str(ours))
+    eventually(lambda: "listens at" in command.said(process), SECONDS)
+    yield process
+    assert process.poll() is None, command.said(process)
+
+
+def one_line(result: subprocess.CompletedProcess[str], *words: str) -> None:
+    lines = result.stderr.splitlines()
+    assert result.returncode == 2, result.stderr
+    assert len(lines) == 1, result.stderr
+    for word in words:
+        assert word in lines[0], lines[0]
+
+
+def status(command, port: int, *certificates: str, protocol: str = "tls") -> subprocess.CompletedProcess[str]:
+    address = f"{protocol}/127.0.0.1:{port}"
+    return command.run("status", "--connect", address, "--json", *certificates, seconds=SECONDS)
+
+
+def test_only_the_authoritys_certificates_get_in(
+    command, learner_process, port: int, ours: Path, foreign: Path, eventually
+) -> None:
+    one_line(
+        status(command, port, "--certificates", str(foreign)),
+        "its certificate is not good",
+        str(foreign / "viewer"),
+    )
+    one_line(status(command, port, protocol="tcp"), "asks for a certificate", "--certificates")
+    one_line(status(command, port), "needs certificates", "--certificates")
+    said = command.said(learner_process)
+    assert said.count("a connection was refused") >= 2, said
+
+    admitted = status(command, port, "--certificates", str(ours))
+    assert admitted.returncode == 0, admitted.stderr
+    alone = status(command, port, "--certificates", str(ours / "viewer"))
+    assert alone.returncode == 0, alone.stderr
+    eventually(lambda: "connected with the certificate 'viewer'" in command.said(learner_process), SECONDS)
+
+
+def test_denied_deed_is_in_the_learners_log(
+    command, learner_process, port: int, ours: Path, eventually
+) -> None:
+    with open_session(
+        connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="actor", certificates=ours
+    ) as session:
+        session.put("athrl/guarded/policy", b"forged")
+        eventually(
+            lambda: (
+                "not allowed: Put on 'athrl/guarded/policy' with the certificate 'actor'"
+                in command.said(learner_process)
+            ),
+            SECONDS,
+        )
+        session.put("athrl/guarded/metrics/actor/rig", b"0" * 1_000_000)
+        eventually(
+            lambda: (
+                "too large: Put on 'athrl/guarded/metrics/actor/rig' with the certificate 'actor'"
+                in command.said(learner_process)
+            ),
+            SECONDS,
+        )
+
+
+def test_certificate_without_a_role_may_do_nothing(
+    command, learner_process, port: int, ours: Path, tmp_path: Path, eventually
+) -> None:
+    stranger = tmp_path / "stranger"
+    authority: Identity = _load_authority(ours)
+    _write_role(stranger, _new_role(authority, "stranger", [], days=1), authority)
+    with open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, certificates=stranger) as session:
+        with pytest.raises(LearnerNotFound, match="does not let this certificate do that"):
+            fetch_run_file(session, "guarded", timeout=2.0)
+        heard: list[str] = []
+        session.declare_subscriber("athrl/**", lambda sample: heard.append(str(sample.key_expr)))
+        eventually(lambda: "'stranger' from" in command.said(learner_process), SECONDS)
+        eventually(lambda: "has no role in this run" in command.said(learner_process), SECONDS)
+        # The learner has published its state in this time.
+        admitted = status(command, port, "--certificates", str(ours))
+        assert admitted.returncode == 0, admitted.stderr
+        assert heard == []
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_client_without_a_certificate_gets_no_link(
+    learner: zenoh.Session, port: int, ours: Path, protocol
+) -> None:
+    """With Zenoh alone, not with our own program, which would not even try."""
+    configuration = zenoh.Config()
+    configuration.insert_json5("mode", '"client"')
+    configuration.insert_json5("scouting/multicast/enabled", "false")
+    configuration.insert_json5("connect/endpoints", f'["{protocol}/127.0.0.1:{port}"]')
+    configuration.insert_json5("connect/timeout_ms", "1000")
+    configuration.insert_json5("connect/exit_on_failure", "true")
+    authority = ours / AUTHORITY / "tls.crt"
+    configuration.insert_json5("transport/link/tls/root_ca_certificate", f'"{authority}"')
+    with pytest.raises(zenoh.ZError):
+        zenoh.open(configuration)
+    assert learner.info.links() == []
+
+
+def test_nobody_else_can_pass_for_the_learner(sessions, port: int, ours: Path) -> None:
+    """Of all roles only the learner's certificate may serve: a stolen actor's is not believed."""
+    impostor = ours / "impostor"
+    (ours / "actor").rename(impostor)
+    sessions.enter_context(
+        open_session(listen=f"127.0.0.1:{port}", timeout=PATIENCE, run="guarded", certificates=impostor)
+    )
+    with pytest.raises(NotAdmitted, match="its certificate is not good"):
+        open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+
+
+def test_expired_certificate_is_named(learner: zenoh.Session, port: int, ours: Path, monkeypatch) -> None:
+    monkeypatch.setattr(certificates, "CLOCK_DIFFERENCE", datetime.timedelta(days=9))
+    certificates.renew_roles(ours, ["viewer"], None, days=-1)
+    with pytest.raises(NotAdmitted, match=r"it refuses .*viewer/tls.crt \(certificate expired\)"):
+        open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+
+
+def test_address_that_is_not_in_the_learners_certificate_is_named(sessions, port: int, ours: Path) -> None:
+    certificates.renew_roles(ours, ["learner"], ["somewhere.example"], days=1)
+    sessions.enter_context(
+        open_session(listen=f"127.0.0.1:{port}", timeout=PATIENCE, run="guarded", certificates=ours)
+    )
+    with pytest.raises(NotAdmitted, match=r"127\.0\.0\.1.*not good"):
+        open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+
+
+def test_learner_without_encryption_is_named(sessions, port: int, ours: Path) -> None:
+    sessions.enter_context(open_session(listen=f"127.0.0.1:{port}", timeout=PATIENCE))
+    with pytest.raises(
+        LearnerNotFound, match="does not answer in TLS, no learner or one without certificates"
+    ):
+        open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+
+
+def test_folder_without_certificates_is_named(port: int, ours: Path, tmp_path: Path) -> None:
+    with pytest.raises(ProtocolError, match=r"cannot read .*nothing/ca.crt: no such file"):
+        open_session(connect=f"127.0.0.1:{port}", timeout=1.0, certificates=tmp_path / "nothing")
+    os.replace(ours / "actor" / "tls.key", ours / "viewer" / "tls.key")
+    with pytest.raises(ProtocolError, match=r"viewer/tls.key is not the key of"):
+        open_session(connect=f"127.0.0.1:{port}", timeout=1.0, certificates=ours)
