@@ -1,0 +1,114 @@
+"""How many transitions a second one learner takes in from 1, 4 and 16 actors, written down and acknowledged.
+
+Real sessions over loopback and real uploaders, each actor a process of its own that does nothing but send
+64-step chunks of 32 x 32 x 4 pixels; the learner's side is its intake, log and replay, without training. The
+actors share the machine with it. Beside it dm-reverb, where that is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.util
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from athrl_learner import translation
+from athrl_learner.arrivals import Arrivals
+from athrl_learner.parts import make_experience
+from athrl_protocol import ChunkIntake, RunFile, open_session, read_run_file
+
+from benchmarks.light_actor import RUN, STEPS
+
+_PATIENCE = 60.0
+
+
+@contextlib.contextmanager
+def light_actors(address: str, count: int) -> Iterator[None]:
+    """So many actors at work, each a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.light_actor", address]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    actors = [subprocess.Popen([*command, f"actor-{number}"], **pipes) for number in range(count)]
+    try:
+        for actor in actors:
+            if actor.stdout.readline() != b"ready\n":
+                sys.exit("an actor could not be started")
+        yield
+    finally:
+        for actor in actors:
+            actor.stdin.close()
+        for actor in actors:
+            actor.wait(_PATIENCE)
+
+
+def rate(run_file: RunFile, actors: int, seconds: float, folder: Path) -> dict[str, float]:
+    """Transitions a second that are taken in, and the learner's seconds of a core for each second."""
+    store = make_experience(
+        run_file, translation.make_agent(run_file), Arrivals(), translation.make_log(run_file, folder)
+    )
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with (
+        contextlib.closing(store.log),
+        open_session(listen=address, timeout=_PATIENCE) as session,
+        ChunkIntake(session, RUN, store) as intake,
+    ):
+        with light_actors(address, actors):
+            time.sleep(1.0)  # until all are under way
+            before, began, busy = store.environment_steps, time.perf_counter(), time.process_time()
+            written = store.log.size_bytes
+            time.sleep(seconds)
+            taken, elapsed = store.environment_steps - before, time.perf_counter() - began
+            busy, written = time.process_time() - busy, store.log.size_bytes - written
+        statistics = intake.statistics()
+    if statistics.stored * STEPS != store.environment_steps:
+        sys.exit(f"{statistics.stored} chunks are {store.environment_steps} steps: something was lost")
+    return {
+        "actors": actors,
+        "transitions_per_second": taken / elapsed,
+        "learner_cores": busy / elapsed,
+        "log_mebibytes_per_second": written / 2**20 / elapsed,
+    }
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--actors", type=int, nargs="+", default=[1, 4, 16])
+    parser.add_argument("--seconds", type=float, default=10.0, help="for each number of actors")
+    parser.add_argument("--fsync", choices=["never", "acknowledgement", "interval"], default="interval")
+    parser.add_argument("--folder", type=Path, help="where the log is written; by default a temporary one")
+    arguments = parser.parse_args()
+    run_file = read_run_file(
+        None,
+        [
+            f"replay.sequence_length={STEPS}",
+            "learner.samples_per_insert=0.001",
+            "run.environment_steps=1000000000",
+            f"durability.fsync={arguments.fsync}",
+        ],
+    )
+    rows = []
+    for actors in arguments.actors:
+        with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
+            row = rate(run_file, actors, arguments.seconds, Path(folder) / "experience")
+        rows.append({name: round(value, 2) for name, value in row.items()})
+        print(
+            f"{actors:3d} actors: {row['transitions_per_second']:9,.0f} transitions/s, "
+            f"the learner takes {row['learner_cores']:.2f} cores"
+        )
+    reverb = importlib.util.find_spec("reverb") is not None
+    print("dm-reverb is installed: measure it beside this" if reverb else "dm-reverb is not installed")
+    print(json.dumps({"cores": os.cpu_count(), "fsync": arguments.fsync, "rows": rows}))
+
+
+if __name__ == "__main__":
+    main()

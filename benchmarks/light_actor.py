@@ -1,0 +1,38 @@
+"""An actor that drives nothing: sends ready-made chunks as fast as the learner takes them.
+
+Arguments: address, name. Says "ready" when it is connected, and sends until its input is closed.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+from athrl_protocol import ChunkUploader, new_incarnation, open_session
+
+from benchmarks.experience import made_up_chunk
+
+RUN = "benchmark"
+STEPS = 64
+_PATIENCE = 60.0
+#: Chunks that it has ready, so that it is the learner that is measured.
+_READY = 8
+
+
+def main(address: str, name: str) -> None:
+    """Send until the input is closed."""
+    chunks = [made_up_chunk(STEPS, seed=seed) for seed in range(_READY)]
+    stop = threading.Event()
+    with (
+        open_session(connect=address, timeout=_PATIENCE) as session,
+        ChunkUploader(session, RUN, name, new_incarnation(), capacity=64) as uploader,
+    ):
+        print("ready", flush=True)
+        threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
+        sent = 0
+        while not stop.is_set():
+            sent += uploader.submit(chunks[sent % _READY], timeout=0.1)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
