@@ -17,6 +17,8 @@ from athrl_protocol import Chunk, InvalidMessage, LevelColumns
 #: Physical values have been through float32 and the graph's scaling: this much beyond a range is rounding.
 _ROUNDING = 1e-4
 _MOTION_LIMIT = 2.0
+#: Far beyond every reward of a decision and every cell of an LSTM; what is larger would poison the critics.
+_LARGEST = 1e5
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class ChunkReader:
             InvalidMessage: a size, a level or a value is not the run's; names it, what it was and should be.
         """
         self._check_sizes(chunk)
-        _check_motion(chunk.motion[: chunk.length + 1])
+        _check_motion(chunk.motion)
         for name, expected in self._levels.items():
             _check_level(name, chunk.levels[name], expected, self._time, chunk.length)
         return Sequence(
@@ -77,6 +79,9 @@ def _check_level(name: str, columns: LevelColumns, expected: ExpectedLevel, time
                 f"{name}.actions: {action.name} is {column.min()}..{column.max()}; "
                 f"it should be {action.low:g}..{action.high:g} {action.unit}".rstrip(),
             )
+    _check_size(f"{name}.rewards", columns.rewards)
+    _check_size(f"{name}.actions", columns.actions)  # padding, too, goes through the networks
+    _check_size(f"{name}.initial_state", columns.initial_state)
 
 
 def _check_motion(motion: np.ndarray) -> None:
@@ -84,6 +89,13 @@ def _check_motion(motion: np.ndarray) -> None:
         raise InvalidMessage(
             "value",
             f"motion is {motion.min()}..{motion.max()}; it should be -{_MOTION_LIMIT:g}..{_MOTION_LIMIT:g}",
+        )
+
+
+def _check_size(name: str, numbers: np.ndarray) -> None:
+    if not (np.abs(numbers) <= _LARGEST).all():
+        raise InvalidMessage(
+            "value", f"{name} is {numbers.min()}..{numbers.max()}; it should be -{_LARGEST:g}..{_LARGEST:g}"
         )
 
 
