@@ -1,0 +1,351 @@
+"""Throw broken messages at every decoder: each must be refused as `InvalidMessage`, or be a proper one.
+
+    python -m benchmarks.fuzz --messages 1000000
+
+Valid messages of every kind are changed: bits and bytes, lengths, pieces of other messages, fields with
+values at and beyond their bounds, numbers that are none, images that unpack to something else. What a decoder
+lets through is checked again: a chunk goes through the learner's own check of what fits its run, and
+everything that would go into the replay has the shape, the type and the range it should have. Whatever else
+happens, another exception or memory that grows, ends the programme with exit code 1 and the message, in
+hexadecimal, that did it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import struct
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import zstandard
+from athrl_learner.experience import ChunkReader, ExpectedLevel
+from athrl_planners import ActionRange, ObservationSettings
+from athrl_protocol import (
+    Chunk,
+    Frame,
+    InvalidMessage,
+    LevelColumns,
+    Vehicle,
+    athrl_pb2,
+    decode_chunk,
+    decode_frame,
+    encode_chunk,
+    encode_frame,
+)
+from athrl_protocol.announcements import evaluation, policy, state
+from athrl_protocol.ledger import Ledger
+from athrl_protocol.metrics import decode_metrics
+from athrl_protocol.schema import decode_message, encode_message
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import Message
+
+TIME, SIZE = 10, 32
+LARGEST = 1e5
+"""Of anything that may go into the replay."""
+MEMORY = 512 * 2**20
+"""Bytes by which the process may grow; one message that asks for more is a hole."""
+
+_EXTREMES = [0, 1, 2, 7, 255, 1024, 2**16, 2**31 - 1, 2**32 - 1]
+_FLOATS = [0.0, -0.0, 1e30, -1e30, float("nan"), float("inf"), float("-inf"), 1e-45, 3.4e38]
+
+
+class Target(NamedTuple):
+    """A kind of message: an example, its class, and what a receiver does with it."""
+
+    example: bytes
+    kind: type[Message]
+    receive: Callable[[bytes], object]
+
+
+def observation() -> ObservationSettings:
+    """Return what the fuzzed run's planner perceives."""
+    return ObservationSettings(SIZE)
+
+
+def reader() -> ChunkReader:
+    """Return the learner's check of what fits its run."""
+    angle = ActionRange("angle", "rad", -1.0, 1.0, "gaussian", 0.1)
+    speed = ActionRange("speed", "m/s", 0.0, 8.0, "gaussian", 0.1)
+    levels = {"intention": ExpectedLevel((angle,), 8), "trajectory": ExpectedLevel((angle, speed), 8)}
+    return ChunkReader(observation(), TIME, levels)
+
+
+def example_chunk(generator: np.random.Generator) -> Chunk:
+    """Return a chunk that fits the run."""
+
+    def floats(*shape: int) -> np.ndarray:
+        return generator.uniform(0, 1, shape).astype(np.float32)
+
+    settings = observation()
+    return Chunk(
+        actor="rig-1",
+        incarnation=2**60,
+        sequence=0,
+        environment=3,
+        episode_seed=2**40,
+        first_step=8,
+        length=TIME,
+        images=generator.integers(0, 2, (TIME + 1, *settings.image_shape), dtype=np.uint8),
+        motion=floats(TIME + 1, settings.motion_size),
+        levels={
+            "intention": LevelColumns(floats(TIME, 1), floats(TIME), floats(8)),
+            "trajectory": LevelColumns(floats(TIME, 2), floats(TIME), floats(8)),
+        },
+        policy_version=np.arange(TIME, dtype=np.int64),
+        terminated=False,
+        truncated=True,
+    )
+
+
+class ChunkReceiver:
+    """Does with a chunk what the learner does before it touches the replay, and doubts the result."""
+
+    def __init__(self) -> None:
+        self._reader = reader()
+        self._ledger = Ledger()
+
+    def __call__(self, payload: bytes) -> object:
+        """Return what would go into the replay."""
+        chunk = decode_chunk(payload)
+        self._ledger.judge(chunk)
+        sequence = self._reader.sequence(chunk)
+        assert sequence.images.dtype == np.uint8
+        assert sequence.images.shape == (TIME + 1, *observation().image_shape)
+        for columns in (sequence.actions, sequence.rewards, sequence.initial_state):
+            for column in columns.values():
+                assert column.dtype == np.float32
+                assert (np.abs(column) <= LARGEST).all()  # a number that is none is not
+        assert (np.abs(sequence.motion) <= LARGEST).all()
+        assert 1 <= sequence.length <= TIME
+        return sequence
+
+
+def targets() -> list[Target]:
+    """Return every kind of message that somebody receives."""
+    generator = np.random.default_rng(0)
+    numbers = {f"metric/{number}": float(number) for number in range(20)}
+    frame = Frame(
+        driver="policy", town="town03", vehicles=[Vehicle(x=1.0)] * 20, image_height=4, image_width=4
+    )
+    frame.birdeye, frame.lidar = bytes(48), bytes(16)
+    run_state = state.RunState(state.Phase.TRAINING, 1, 2, 3, 4, "actors wait")
+    result = evaluation.EvaluationResult("policy", 1, 2, "town03", 3, numbers)
+    update = policy.PolicyUpdate(3, bytes(500), False, 1.0, 1, 2, 3.0)
+    chunk = Target(encode_chunk(example_chunk(generator)), athrl_pb2.Chunk, ChunkReceiver())
+    plain = [
+        (athrl_pb2.Acknowledgement(next_sequence=3, credits=8), athrl_pb2.Acknowledgement),
+        (athrl_pb2.Refusal(reason=athrl_pb2.Refusal.BUSY, text="busy"), athrl_pb2.Refusal),
+        (athrl_pb2.Edition(incarnation=1, number=2), athrl_pb2.Edition),
+    ]
+    metrics = athrl_pb2.Metrics(role="actor", name="rig-1", time=1.0, values=numbers)
+    return [
+        chunk,
+        chunk,  # what matters most comes most often
+        chunk,
+        Target(encode_frame(frame), Frame, decode_frame),
+        Target(encode_message(metrics), athrl_pb2.Metrics, decode_metrics),
+        Target(evaluation._encode(result), athrl_pb2.Evaluation, evaluation._decode),
+        Target(policy._encode(update), athrl_pb2.Policy, policy._decode),
+        Target(state._encode(run_state), athrl_pb2.RunState, state._decode),
+        *(
+            Target(encode_message(message), kind, lambda payload, kind=kind: decode_message(kind, payload))
+            for message, kind in plain
+        ),
+    ]
+
+
+def random_bytes(chance: random.Random, target: Target) -> bytes:
+    """Return bytes that never were a message."""
+    return chance.randbytes(chance.choice([0, 1, 2, 16, 300, 5_000]))
+
+
+def changed_bytes(chance: random.Random, target: Target) -> bytes:
+    """Return the message with a few bits or bytes changed."""
+    content = bytearray(target.example)
+    for _ in range(chance.choice([1, 1, 2, 5, 30])):
+        place = chance.randrange(len(content))
+        content[place] = chance.choice(
+            [content[place] ^ (1 << chance.randrange(8)), chance.randrange(256), 0, 255]
+        )
+    return bytes(content)
+
+
+def cut_or_stretched(chance: random.Random, target: Target) -> bytes:
+    """Return the message without a piece, or with one of its own twice."""
+    content = target.example
+    start, end = sorted(chance.choices(range(len(content) + 1), k=2))
+    return chance.choice(
+        [content[:start], content[start:], content[:start] + content[end:], content + content[start:end]]
+    )
+
+
+def changed_field(chance: random.Random, target: Target) -> bytes:
+    """Return the message with fields set to values at their bounds and beyond."""
+    message = target.kind()
+    message.ParseFromString(target.example)
+    for _ in range(chance.choice([1, 1, 1, 2, 4])):
+        _change(chance, message)
+    return message.SerializeToString()
+
+
+def changed_numbers(chance: random.Random, target: Target) -> bytes:
+    """Return the message with a float32 in its columns that is none, or far out."""
+    message = target.kind()
+    message.ParseFromString(target.example)
+    if not isinstance(message, athrl_pb2.Chunk):
+        return changed_field(chance, target)
+    level = chance.choice(message.levels)
+    holder, name = chance.choice(
+        [(message, "motion"), (level, "actions"), (level, "rewards"), (level, "initial_state")]
+    )
+    column = bytearray(getattr(holder, name))
+    struct.pack_into("<f", column, 4 * chance.randrange(len(column) // 4), chance.choice(_FLOATS[2:]))
+    setattr(holder, name, bytes(column))
+    return message.SerializeToString()
+
+
+def changed_images(chance: random.Random, target: Target) -> bytes:
+    """Return a chunk whose images unpack to something else: too much, too little, nothing, for ever."""
+    message = target.kind()
+    message.ParseFromString(target.example)
+    if not isinstance(message, athrl_pb2.Chunk):
+        return changed_bytes(chance, target)
+    size = chance.choice([0, 1, 1000, 2**20, 2**26])
+    compressor = zstandard.ZstdCompressor(level=1, write_content_size=chance.random() < 0.5)
+    message.images = compressor.compress(bytes(size))
+    if chance.random() < 0.3:
+        message.time = chance.choice(_EXTREMES)
+    if chance.random() < 0.3:
+        message.image_height = chance.choice(_EXTREMES)
+    return message.SerializeToString()
+
+
+def _change(chance: random.Random, message: Message) -> None:
+    """Set one field, of the message itself or of one inside it, to something that may not be."""
+    field: FieldDescriptor = chance.choice(list(message.DESCRIPTOR.fields))
+    if field.is_repeated:
+        _change_repeated(chance, message, field)
+    elif field.message_type is not None:
+        _change(chance, getattr(message, field.name))
+    else:
+        setattr(message, field.name, _value(chance, field, getattr(message, field.name)))
+
+
+def _change_repeated(chance: random.Random, message: Message, field: FieldDescriptor) -> None:
+    values: Any = getattr(message, field.name)
+    if field.message_type.GetOptions().map_entry:
+        for _ in range(chance.choice([1, 3, 3_000])):
+            values[str(chance.random())] = chance.choice(_FLOATS)
+    elif chance.random() < 0.5 and len(values):
+        _change(chance, chance.choice(values))
+    elif chance.random() < 0.5:
+        del values[chance.randrange(len(values) + 1) :]
+    else:
+        for _ in range(chance.choice([1, 20, 5_000])):
+            values.add()
+
+
+def _value(chance: random.Random, field: FieldDescriptor, now: Any) -> Any:
+    kinds = FieldDescriptor
+    if field.cpp_type in (kinds.CPPTYPE_DOUBLE, kinds.CPPTYPE_FLOAT):
+        return chance.choice(_FLOATS)
+    if field.cpp_type == kinds.CPPTYPE_BOOL:
+        return not now
+    if field.type == kinds.TYPE_STRING:
+        return chance.choice(["", "x" * 5_000, "a/b", "../..", "\n\x1b[2J", "*", "héros", now + "\0"])
+    if field.type == kinds.TYPE_BYTES:
+        return chance.choice([b"", now[:-1], now + b"\0", now + now, now[: len(now) // 2], bytes(len(now))])
+    largest = 2**32 - 1 if field.cpp_type == kinds.CPPTYPE_UINT32 else 2**64 - 1
+    if field.cpp_type == kinds.CPPTYPE_ENUM:
+        largest = 2**31 - 1
+    return chance.choice([*(value for value in _EXTREMES if value <= largest), largest, max(0, now - 1)])
+
+
+MUTATIONS = [
+    random_bytes,
+    changed_bytes,
+    cut_or_stretched,
+    changed_field,
+    changed_field,
+    changed_numbers,
+    changed_images,
+]
+
+
+class Outcome(NamedTuple):
+    """What became of the messages."""
+
+    refused: Counter[str]
+    accepted: int
+
+
+class Hole(Exception):  # noqa: N818
+    """A message that did what none may do."""
+
+
+def fuzz(messages: int, seed: int, say: Callable[[str], None] = lambda text: None) -> Outcome:
+    """Send broken messages to the decoders.
+
+    Raises:
+        Hole: one had another effect than to be refused or to be a proper message.
+    """
+    chance, kinds = random.Random(seed), targets()
+    for target in kinds:
+        target.receive(target.example)
+    refused: Counter[str] = Counter()
+    accepted, before, told = 0, _peak_memory(), time.monotonic()
+    for number in range(messages):
+        target = chance.choice(kinds)
+        payload = chance.choice(MUTATIONS)(chance, target)
+        try:
+            target.receive(payload)
+            accepted += 1
+        except InvalidMessage as error:
+            refused[error.reason] += 1
+        except Exception as error:
+            raise Hole(
+                f"{target.kind.DESCRIPTOR.name} number {number}: {error!r}: {payload.hex()}"
+            ) from error
+        if _peak_memory() - before > MEMORY:
+            raise Hole(
+                f"{target.kind.DESCRIPTOR.name} number {number} takes too much memory: {payload.hex()}"
+            )
+        if time.monotonic() - told > 10:
+            told = time.monotonic()
+            say(f"{number:,} messages, {accepted:,} of them proper ones")
+    return Outcome(refused, accepted)
+
+
+def _peak_memory() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--messages", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    began = time.monotonic()
+    try:
+        outcome = fuzz(arguments.messages, arguments.seed, lambda text: print(text, flush=True))
+    except Hole as hole:
+        print(hole, file=sys.stderr)
+        sys.exit(1)
+    seconds = time.monotonic() - began
+    reasons = ", ".join(f"{reason} {count:,}" for reason, count in outcome.refused.most_common())
+    print(
+        f"{arguments.messages:,} messages in {seconds:.0f} s: refused {reasons}; proper {outcome.accepted:,}"
+    )
+
+
+if __name__ == "__main__":
+    main()
