@@ -166,8 +166,8 @@ def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> bool:
 @inner
 def _inside(corners: Floats, point: Floats) -> bool:
     """Tell whether a point lies in a convex quadrilateral."""
-    first = _side(corners[0], corners[1], point)
-    same = True
-    for index in range(1, 4):
-        same &= first * _side(corners[index], corners[(index + 1) % 4], point) >= 0.0
-    return same
+    least, greatest = math.inf, -math.inf
+    for index in range(4):
+        side = _side(corners[index], corners[(index + 1) % 4], point)
+        least, greatest = min(least, side), max(greatest, side)
+    return least >= 0.0 or greatest <= 0.0
