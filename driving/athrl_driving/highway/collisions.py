@@ -38,11 +38,11 @@ def collide_all(rows: Rows, scratch: Scratch, vehicles: int, count: int, dt: flo
             reach = radius[other] + own_reach
             east, south = x[other] - own_x, y[other] - own_y
             if east * east + south * south <= reach * reach:
-                _collide(rows, row, other, dt)
+                _collide(rows, scratch, row, other, dt)
 
 
 @whole
-def _collide(rows: Rows, row: int, other: int, dt: float) -> None:
+def _collide(rows: Rows, scratch: Scratch, row: int, other: int, dt: float) -> None:
     marks, state = rows.marks, rows.state
     if not (marks[CHECK_COLLISIONS, row] or marks[CHECK_COLLISIONS, other]):
         return
@@ -53,7 +53,7 @@ def _collide(rows: Rows, row: int, other: int, dt: float) -> None:
     reach = (state[DIAGONAL, row] + state[DIAGONAL, other]) / 2.0 + state[SPEED, row] * dt
     if math.sqrt(east * east + south * south) > reach:
         return
-    touches, will_touch, push_x, push_y = boxes_touching(rows, row, other, dt)
+    touches, will_touch, push_x, push_y = boxes_touching(rows, scratch, row, other, dt)
     both_solid = marks[SOLID, row] and marks[SOLID, other]
     if will_touch and both_solid:
         if marks[KIND, other] == OBSTACLE:
@@ -79,60 +79,80 @@ def _push(rows: Rows, row: int, push_x: float, push_y: float) -> None:
 
 
 @whole
-def boxes_touching(rows, row, other, dt):  # type: ignore[no-untyped-def]
+def boxes_touching(rows, scratch, row, other, dt):  # type: ignore[no-untyped-def]
     """Return whether two boxes touch, whether they will within dt seconds, and the push (m) that parts them.
 
-    highway-env's separating axes: each box's four sides, each box's corners projected on them.
+    highway-env's separating axes, to the order of its sums: a push leaves two boxes that just touch, and in
+    the next frame the last bit says whether they still do.
     """
-    state, parameters = rows.state, rows.parameters
+    state, corners = rows.state, scratch.corners
+    _write_corners(rows, corners, 0, row)
+    _write_corners(rows, corners, 5, other)
     touches = will_touch = True
     least = math.inf
     push_x, push_y = 0.0, 0.0
-    first_x, first_y = rows.position[row, 0], rows.position[row, 1]
-    second_x, second_y = rows.position[other, 0], rows.position[other, 1]
-    first_cosine, first_sine = math.cos(state[HEADING, row]), math.sin(state[HEADING, row])
-    second_cosine, second_sine = math.cos(state[HEADING, other]), math.sin(state[HEADING, other])
-    first_length, first_width = parameters[LENGTH, row] / 2.0, parameters[WIDTH, row] / 2.0
-    second_length, second_width = parameters[LENGTH, other] / 2.0, parameters[WIDTH, other] / 2.0
-    first_speed, second_speed = state[SPEED, row] * dt, state[SPEED, other] * dt
-    drift_x = first_speed * first_cosine - second_speed * second_cosine
-    drift_y = first_speed * first_sine - second_speed * second_sine
-    for side in range(8):
-        cosine, sine = (first_cosine, first_sine) if side < 4 else (second_cosine, second_sine)
-        # Sides from corner to corner: left end, right side, front end, left side, as highway-env lists them.
-        if side % 4 == 0:
-            axis_x, axis_y = -cosine, -sine
-        elif side % 4 == 1:
-            axis_x, axis_y = -sine, cosine
-        elif side % 4 == 2:
-            axis_x, axis_y = cosine, sine
-        else:
-            axis_x, axis_y = sine, -cosine
-        first_middle = first_x * axis_x + first_y * axis_y
-        first_extent = first_length * abs(first_cosine * axis_x + first_sine * axis_y)
-        first_extent += first_width * abs(first_cosine * axis_y - first_sine * axis_x)
-        second_middle = second_x * axis_x + second_y * axis_y
-        second_extent = second_length * abs(second_cosine * axis_x + second_sine * axis_y)
-        second_extent += second_width * abs(second_cosine * axis_y - second_sine * axis_x)
-        low, high = first_middle - first_extent, first_middle + first_extent
-        second_low, second_high = second_middle - second_extent, second_middle + second_extent
-        if _interval_distance(low, high, second_low, second_high) > 0.0:
+    heading, other_heading = state[HEADING, row], state[HEADING, other]
+    speed, other_speed = state[SPEED, row], state[SPEED, other]
+    drift_x = speed * math.cos(heading) * dt - other_speed * math.cos(other_heading) * dt
+    drift_y = speed * math.sin(heading) * dt - other_speed * math.sin(other_heading) * dt
+    between_x = _mean(corners, 0, 0) - _mean(corners, 5, 0)
+    between_y = _mean(corners, 0, 1) - _mean(corners, 5, 1)
+    for corner in range(9):
+        if corner == 4:
+            continue  # from the last corner of the first box to the first of the second one
+        axis_x = -corners[corner + 1, 1] + corners[corner, 1]
+        axis_y = corners[corner + 1, 0] - corners[corner, 0]
+        norm = math.sqrt(axis_x * axis_x + axis_y * axis_y)
+        axis_x, axis_y = axis_x / norm, axis_y / norm
+        low, high = _projection(corners, 0, axis_x, axis_y)
+        other_low, other_high = _projection(corners, 5, axis_x, axis_y)
+        if _interval_distance(low, high, other_low, other_high) > 0.0:
             touches = False
         drift = axis_x * drift_x + axis_y * drift_y
         if drift < 0.0:
             low += drift
         else:
             high += drift
-        distance = _interval_distance(low, high, second_low, second_high)
+        distance = _interval_distance(low, high, other_low, other_high)
         if distance > 0.0:
             will_touch = False
         if not touches and not will_touch:
             return False, False, 0.0, 0.0
         if abs(distance) < least:
             least = abs(distance)
-            between = (first_x - second_x) * axis_x + (first_y - second_y) * axis_y
-            push_x, push_y = (axis_x, axis_y) if between > 0.0 else (-axis_x, -axis_y)
+            push_x, push_y = axis_x, axis_y
+            if not between_x * axis_x + between_y * axis_y > 0.0:
+                push_x, push_y = -axis_x, -axis_y
     return touches, will_touch, least * push_x, least * push_y
+
+
+@part
+def _write_corners(rows, corners, first, row):  # type: ignore[no-untyped-def]
+    """Write a box's corners (x, y in m) in highway-env's order, the first one again at the end."""
+    cosine, sine = math.cos(rows.state[HEADING, row]), math.sin(rows.state[HEADING, row])
+    x, y = rows.position[row, 0], rows.position[row, 1]
+    for corner in range(5):
+        forward = rows.parameters[LENGTH, row] / 2.0 * (1.0 if corner == 2 or corner == 3 else -1.0)
+        sideways = rows.parameters[WIDTH, row] / 2.0 * (1.0 if corner == 1 or corner == 2 else -1.0)
+        corners[first + corner, 0] = cosine * forward - sine * sideways + x
+        corners[first + corner, 1] = sine * forward + cosine * sideways + y
+
+
+@part
+def _mean(corners, first, coordinate):  # type: ignore[no-untyped-def]
+    total = corners[first, coordinate] + corners[first + 1, coordinate]
+    total += corners[first + 2, coordinate]
+    return (total + corners[first + 3, coordinate]) / 4.0
+
+
+@part
+def _projection(corners, first, axis_x, axis_y):  # type: ignore[no-untyped-def]
+    """Return the least and greatest of a box's corners along an axis, m."""
+    low, high = math.inf, -math.inf
+    for corner in range(first, first + 4):
+        along = corners[corner, 0] * axis_x + corners[corner, 1] * axis_y
+        low, high = min(low, along), max(high, along)
+    return low, high
 
 
 @part

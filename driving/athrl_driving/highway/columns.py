@@ -162,6 +162,8 @@ class Scratch(NamedTuple):
     """[rows, TRAJECTORY_POINTS, 3] predicted x, y, heading."""
     reach: Floats
     """[rows, 4] the box around a trajectory: least x and y, greatest x and y."""
+    corners: Floats
+    """[10, 2] x, y in m: five corners of each of two boxes."""
 
 
 FRAME = 0

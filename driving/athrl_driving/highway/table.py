@@ -230,4 +230,5 @@ def _new_scratch(room: int, lanes: int) -> Scratch:
         counters=np.zeros(3, np.int64),
         trajectory=np.zeros((room, TRAJECTORY_POINTS, 3)),
         reach=np.zeros((room, 4)),
+        corners=np.zeros((10, 2)),
     )
