@@ -41,6 +41,7 @@ class Checkpointer:
         self._files = files or Files()
         self._due_at = time.monotonic() + seconds
         self._writer: threading.Thread | None = None
+        self._told_best: str | None = ""  # what was said last, to say it once
 
     @property
     def due(self) -> bool:
@@ -94,5 +95,11 @@ class Checkpointer:
         except OSError as error:
             log.warning("cannot clear %s of old checkpoints: %s", self._folder, error.strerror)
             return
+        if kept.best != self._told_best:
+            self._told_best = kept.best
+            log.info(
+                "the best checkpoint by the evaluator's scores is %s",
+                kept.best or "not known: none was heard",
+            )
         needed = needed_segments(kept.newest, kept.others)
         self._experience.keep_only(needed.oldest, needed.named)

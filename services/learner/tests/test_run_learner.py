@@ -96,29 +96,81 @@ def test_a_stopped_run_goes_on_where_it_was(run_file, fake_actor):
 
 RUN = """
 import sys, threading
+from pathlib import Path
 from athrl_learner import run_learner
 from athrl_protocol import read_run_file
-run_learner(read_run_file(sys.argv[1]), stop=threading.Event())
+run_file = read_run_file(sys.argv[1])
+folder = Path(run_file.run.folder) / run_file.run.name
+resume = folder if (folder / "run.toml").exists() else None
+run_learner(None if resume else run_file, resume=resume, stop=threading.Event())
 """
 
 
+@contextmanager
+def killed_in_the_end(run_file: RunFile, path: Path) -> Iterator[None]:
+    """A learner in a process of its own, which goes on with the run if there is one, until it is killed."""
+    path.write_text(to_toml(run_file))
+    with subprocess.Popen([sys.executable, "-c", RUN, str(path)]) as process:
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize(("checkpoint_seconds", "fsync"), [(0.2, "acknowledgement"), (1000.0, "never")])
+def test_kills_lose_nothing_that_was_acknowledged_and_count_nothing_twice(
+    run_file, fake_actor, tmp_path, checkpoint_seconds, fsync
+):
+    settings = changed(run_file, "learner", checkpoint_seconds=checkpoint_seconds)
+    settings = changed(settings, "durability", fsync=fsync)
+    with fake_actor:
+        for steps in (100, 200):
+            with killed_in_the_end(settings, tmp_path / "file.toml"):
+                fake_actor.wait_for(
+                    lambda steps=steps: fake_actor.states and fake_actor.states[-1].environment_steps >= steps
+                )
+        with learner(None, resume=folder_of(run_file)) as (running, _):
+            resumed: Summary = running.result(timeout=120)
+    counts = fake_actor.statistics
+    assert resumed.finished
+    assert resumed.environment_steps == 5 * counts.acknowledged
+    assert counts.produced == counts.acknowledged + counts.given_up + counts.waiting
+    last = [report.values for report in fake_actor.metrics if "intake/stored" in report.values][-1]
+    assert last["intake/stored"] == counts.acknowledged
+    assert last["intake/lost"] == last["intake/refused"] == last["log/damaged"] == 0
+    _, checkpoint = newest_intact_checkpoint(resumed.folder / "checkpoints")
+    assert checkpoint.state["totals"]["transitions"] == resumed.environment_steps
+    assert resumed.samples_per_insert == pytest.approx(4, rel=0.1)
+
+
+def test_a_damaged_checkpoint_costs_training_but_no_experience(run_file, fake_actor, caplog):
+    with fake_actor:
+        with learner(run_file) as (running, stop):
+            fake_actor.wait_for(lambda: any(state.environment_steps >= 100 for state in fake_actor.states))
+            checkpoints = folder_of(run_file) / "checkpoints"
+            fake_actor.wait_for(lambda: any(checkpoints.glob("checkpoint-??????")))
+            stop.set()
+            stopped: Summary = running.result(timeout=60)
+        newest = max(checkpoints.glob("checkpoint-??????"))
+        (newest / "agent.pt").write_bytes(b"")
+        with learner(None, resume=folder_of(run_file)) as (running, _):
+            resumed: Summary = running.result(timeout=120)
+    assert f"{newest / 'agent.pt'} is damaged" in caplog.text
+    assert resumed.finished
+    assert resumed.environment_steps == 5 * fake_actor.statistics.acknowledged > stopped.environment_steps
+
+
 def test_a_killed_run_goes_on_from_its_checkpoint(run_file, fake_actor, tmp_path):
-    (tmp_path / "file.toml").write_text(to_toml(run_file))
     checkpoints = folder_of(run_file) / "checkpoints"
     with fake_actor:
-        with subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path / "file.toml")]) as process:
-            try:
-                fake_actor.wait_for(
-                    lambda: checkpoints.is_dir() and any(checkpoints.glob("checkpoint-??????"))
-                )
-            finally:
-                process.kill()
+        with killed_in_the_end(run_file, tmp_path / "file.toml"):
+            fake_actor.wait_for(lambda: checkpoints.is_dir() and any(checkpoints.glob("checkpoint-??????")))
         heard = len(fake_actor.policies)
         with learner(None, resume=folder_of(run_file)) as (running, _):
             resumed: Summary = running.result(timeout=120)
     assert resumed.finished
     assert fake_actor.finished
-    assert 400 <= resumed.environment_steps < 405
+    assert resumed.environment_steps == 5 * fake_actor.statistics.acknowledged
     # Versions go on above those that the actor has, though the checkpoint is older than the last of them.
     newest_before = max(policy.version for policy in fake_actor.policies[:heard])
     assert all(policy.version > newest_before for policy in fake_actor.policies[heard:])

@@ -41,6 +41,7 @@ class KeptCheckpoints:
 
     newest: list[LogPosition]
     others: list[LogPosition]
+    best: str | None  # its name, where a score was heard
 
 
 class BestCheckpoint:
@@ -118,6 +119,7 @@ def remove_unneeded(
     return KeptCheckpoints(
         [positions[name] for name in newest if name in positions],
         [positions[name] for name in older if name == chosen],
+        chosen,
     )
 
 
