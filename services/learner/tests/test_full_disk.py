@@ -1,0 +1,70 @@
+"""A disk that is full while a run goes on: actors wait, people are told, and nothing is lost."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from athrl_learner import Summary, run_learner
+from athrl_learner.room import DiskRoom
+from athrl_protocol import RunFile
+
+
+@pytest.fixture
+def small_disk(run_file: RunFile, tmp_path: Path) -> Iterator[RunFile]:
+    """The small run, with its folder on a disk of 4 MiB; skips where this user may mount none."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = [shutil.which("mount") or "false", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder]
+    if subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("this user may not mount a file system")
+    run = run_file.run.model_copy(update={"folder": str(folder), "environment_steps": 2000})
+    durability = run_file.durability.model_copy(update={"reserve_mebibytes": 2.0, "segment_mebibytes": 0.02})
+    learner = run_file.learner.model_copy(update={"checkpoint_seconds": 1000.0})
+    yield run_file.model_copy(update={"run": run, "durability": durability, "learner": learner})
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_full_disk_pauses_the_run_until_there_is_room(small_disk, fake_actor, caplog):
+    ballast = Path(small_disk.run.folder) / "ballast"
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as pool, fake_actor:
+        running = pool.submit(run_learner, small_disk, stop=stop)
+        try:
+            fake_actor.wait_for(lambda: fake_actor.states and fake_actor.states[-1].environment_steps >= 60)
+            ballast.write_bytes(bytes(1_900_000))
+            fake_actor.wait_for(lambda: "intake is paused" in fake_actor.states[-1].waiting)
+            paused_at = fake_actor.states[-1].environment_steps
+            heard = len(fake_actor.states)
+            fake_actor.wait_for(lambda: len(fake_actor.states) > heard + 1)
+            assert fake_actor.states[-1].environment_steps == paused_at < 2000
+            assert str(small_disk.run.folder) in fake_actor.states[-1].waiting
+            assert not running.done()
+            ballast.unlink()
+            fake_actor.wait_for(lambda: fake_actor.states[-1].environment_steps > paused_at)
+            assert "intake pauses, nothing is lost" in caplog.text
+            assert "intake goes on after" in caplog.text
+        finally:
+            stop.set()
+        summary: Summary = running.result(timeout=60)
+    assert summary.environment_steps == 5 * fake_actor.statistics.acknowledged
+
+
+def test_what_nobody_waits_for_any_more_is_not_told():
+    now = 0.0
+    room = DiskRoom(clock=lambda: now)
+    assert room.explain() == ""
+    room.missing("the disk is full")
+    now = 4.0
+    assert room.explain() == "intake is paused for 4 s: the disk is full"
+    now = 6.0
+    assert room.explain() == ""
+    room.missing("the disk is full")
+    assert room.explain() == "intake is paused for 6 s: the disk is full"
+    room.found()
+    assert room.explain() == ""
