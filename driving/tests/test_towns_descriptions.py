@@ -10,7 +10,16 @@ DRIVING = Path(__file__).parents[1]
 sys.path.insert(0, str(DRIVING))
 
 from towns.curves import Pose, join  # noqa: E402
-from towns.description import Bend, Node, Road, Roundabout, Town  # noqa: E402
+from towns.description import (  # noqa: E402
+    Bend,
+    Bridge,
+    Gore,
+    Motorway,
+    Node,
+    Road,
+    Roundabout,
+    Town,
+)
 from towns.drawing import draw  # noqa: E402
 from towns.laying import lay_town  # noqa: E402
 from towns.opendrive import opendrive_text  # noqa: E402
@@ -31,7 +40,7 @@ LOOPS = (
         (
             SQUARE[:2],
             (LOOPS[0], Road("a", "b", bends=(Bend(0.0, 12.0, 5.0), Bend(100.0, 12.0, 5.0))), LOOPS[2]),
-            "road a - b: it must be straight for 11.8 m at a node",
+            "road a - b: it must be straight for 1 at a node",
         ),
         (
             SQUARE[:2],
@@ -51,6 +60,30 @@ def test_a_description_that_cannot_be_built_names_the_place(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         lay_town(Town("broken", nodes, roads))
+
+
+RING = tuple(
+    Bend(x, y, 150.0) for x, y in ((400.0, 400.0), (400.0, -400.0), (-400.0, -400.0), (-400.0, 400.0))
+)
+LEAVES, JOINS = Gore("off", -100.0, -400.0, leaves=True), Gore("on", -300.0, 100.0, leaves=False)
+
+
+@pytest.mark.parametrize(
+    ("gores", "bridges", "message"),
+    [
+        ((LEAVES, JOINS), (), "gore off: 0 ramps, not 1"),
+        ((LEAVES, Gore("next", -150.0, -400.0, leaves=True)), (), "gore off: 10 m to the next gore, 25 m"),
+        ((JOINS, Gore("next", -400.0, 240.0, leaves=True)), (), "gore on: 100 m to the next gore, 215 m"),
+        ((LEAVES,), (Bridge(-200.0, -400.0, 6.5, 30.0, 140.0),), "motorway ring: no room for the bridge at"),
+        ((LEAVES,), (Bridge(-120.0, -400.0, 6.5, 30.0, 140.0),), "motorway ring: a bridge lies on a gore"),
+    ],
+)
+def test_a_motorway_that_cannot_be_built_names_the_place(
+    gores: tuple[Gore, ...], bridges: tuple[Bridge, ...], message: str
+) -> None:
+    motorway = Motorway("ring", RING, lanes=3, mph=60, gores=gores, bridges=bridges)
+    with pytest.raises(ValueError, match=message):
+        lay_town(Town("broken", SQUARE[:2], LOOPS, motorways=(motorway,)))
 
 
 def test_minor_roads_give_way_to_major_ones() -> None:

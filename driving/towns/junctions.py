@@ -6,7 +6,7 @@ from towns.curves import join, wrap
 from towns.description import Node
 from towns.plan import Arm, ControllerPlan, JunctionPlan, RoadPlan, TownPlan
 
-TURN_RADIUS = 9.0
+TURN_RADIUS = 8.2
 """Metres: right turns at a junction are made this wide. A car of 4.9 m that steers 21 degrees needs 7.6."""
 
 SMALLEST_RADIUS = 8.0

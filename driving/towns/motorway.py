@@ -17,6 +17,8 @@ _RAMP_ASIDE = 6.5
 
 _SHOULDER = 2.5
 _TAPER = 40.0
+_LEAST_ROAD = 25.0
+"""Metres of ordinary motorway between two gores, beside an acceleration lane."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,10 @@ def lay_motorway(plan: TownPlan, motorway: Motorway) -> dict[str, RampEnd]:
     roads = []
     for index, gore in enumerate(gores):
         start = stations[index] + GORE_LENGTH
-        end = stations[(index + 1) % len(gores)]
-        end += around if end < start else 0.0
+        end = stations[index] + ((stations[(index + 1) % len(gores)] - stations[index]) % around or around)
+        needed = _LEAST_ROAD + (0.0 if gore.leaves else motorway.acceleration_lane + _TAPER)
+        if end - start < needed:
+            raise ValueError(f"gore {gore.name}: {end - start:.0f} m to the next gore, {needed:.0f} m needed")
         pieces = cut([*ring, *ring], start, end)
         road = plan.add_road(
             motorway.name, "motorway", motorway.mph, pieces, _sections(plan, motorway, gore), 0.0

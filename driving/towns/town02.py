@@ -1,10 +1,10 @@
 """town02: eight T-junctions, close together, on streets with one wide lane a direction.
 
-  .------------------ kiosk -----.
-  |                     |        |
+  .------------------------------.
+  |                              |
 bakery -- fountain -- library -- cinema
-  |          |                   |
-pharmacy -- bank ------------ post office
+  |          |           |       |
+pharmacy -- bank ----- kiosk --- post office
   |                              |
   '------------------------------'
 """
@@ -12,40 +12,49 @@ pharmacy -- bank ------------ post office
 from towns.description import Bend, Node, Road, Town
 
 _WEST, _EAST, _SOUTH, _NORTH = 4.0, 196.0, 4.0, 196.0
-_CORNER = 22.0
+_CORNER = 16.0
+_LOWER, _UPPER = 60.0, 139.0
+_MPH = 25
 
 TOWN02 = Town(
     name="town02",
     lane_width=4.0,
     nodes=(
-        Node("bakery", _WEST, 134.0),
-        Node("pharmacy", _WEST, 66.0),
-        Node("cinema", _EAST, 134.0),
-        Node("post office", _EAST, 66.0),
-        Node("kiosk", 130.0, _NORTH),
-        Node("library", 130.0, 134.0),
-        Node("fountain", 66.0, 134.0),
-        Node("bank", 66.0, 66.0),
+        Node("bakery", _WEST, _UPPER),
+        Node("pharmacy", _WEST, _LOWER),
+        Node("cinema", _EAST, _UPPER),
+        Node("post office", _EAST, _LOWER),
+        Node("fountain", 62.0, _UPPER),
+        Node("library", 134.0, _UPPER),
+        Node("bank", 62.0, _LOWER),
+        Node("kiosk", 134.0, _LOWER),
     ),
     roads=(
-        Road("bakery", "kiosk", bends=(Bend(_WEST, _NORTH, _CORNER),), mph=25, major=True),
-        Road("kiosk", "cinema", bends=(Bend(_EAST, _NORTH, _CORNER),), mph=25, major=True),
-        Road("kiosk", "library", mph=25, name="Kiosk Street"),
-        Road("bakery", "fountain", mph=25, name="Baker Street"),
-        Road("fountain", "library", mph=25, name="Fountain Street"),
-        Road("library", "cinema", mph=25, name="Cinema Street"),
-        Road("bakery", "pharmacy", mph=25, major=True),
-        Road("cinema", "post office", mph=25, major=True),
-        Road("fountain", "bank", mph=25, name="Bank Street"),
-        Road("pharmacy", "bank", mph=25, name="Mint Street"),
-        Road("bank", "post office", mph=25, name="Post Street"),
+        Road(
+            "bakery",
+            "cinema",
+            bends=(Bend(_WEST, _NORTH, _CORNER), Bend(_EAST, _NORTH, _CORNER)),
+            mph=_MPH,
+            major=True,
+            name="North Side",
+        ),
         Road(
             "pharmacy",
             "post office",
             bends=(Bend(_WEST, _SOUTH, _CORNER), Bend(_EAST, _SOUTH, _CORNER)),
-            mph=25,
+            mph=_MPH,
             major=True,
             name="South Side",
         ),
+        Road("bakery", "pharmacy", mph=_MPH, major=True, name="West Side"),
+        Road("cinema", "post office", mph=_MPH, major=True, name="East Side"),
+        Road("bakery", "fountain", mph=_MPH, name="Baker Street"),
+        Road("fountain", "library", mph=_MPH, name="Fountain Street"),
+        Road("library", "cinema", mph=_MPH, name="Cinema Street"),
+        Road("pharmacy", "bank", mph=_MPH, name="Mint Street"),
+        Road("bank", "kiosk", mph=_MPH, name="Bank Street"),
+        Road("kiosk", "post office", mph=_MPH, name="Post Street"),
+        Road("fountain", "bank", mph=_MPH, name="Water Street"),
+        Road("library", "kiosk", mph=_MPH, name="Paper Street"),
     ),
 )
