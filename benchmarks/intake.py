@@ -2,14 +2,13 @@
 
 Real sessions over loopback and real uploaders, each actor a process of its own that does nothing but send
 64-step chunks of 32 x 32 x 4 pixels; the learner's side is its intake, log and replay, without training. The
-actors share the machine with it. Beside it dm-reverb, where that is installed.
+actors share the machine with it. `benchmarks.reverb_intake` measures dm-reverb beside it.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.util
 import json
 import os
 import socket
@@ -105,8 +104,6 @@ def main() -> None:
             f"{actors:3d} actors: {row['transitions_per_second']:9,.0f} transitions/s, "
             f"the learner takes {row['learner_cores']:.2f} cores"
         )
-    reverb = importlib.util.find_spec("reverb") is not None
-    print("dm-reverb is installed: measure it beside this" if reverb else "dm-reverb is not installed")
     print(json.dumps({"cores": os.cpu_count(), "fsync": arguments.fsync, "rows": rows}))
 
 
