@@ -1,4 +1,4 @@
-"""An accelerated road does what highway-env's own does: in one frame to rounding, and freely for 100 frames."""
+"""An accelerated road does what highway-env's own does: one frame to rounding, and 100 frames freely."""
 
 import copy
 

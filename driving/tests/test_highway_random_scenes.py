@@ -33,7 +33,9 @@ TOWN = 60.0
 """m, the side of the square in which everything lies: small, so that there is much to collide with."""
 
 
-def random_lane(random: np.random.Generator, start: np.ndarray, end: np.ndarray, beside: float) -> AbstractLane:
+def random_lane(
+    random: np.random.Generator, start: np.ndarray, end: np.ndarray, beside: float
+) -> AbstractLane:
     traits = {
         "width": random.uniform(2.5, 5.0),
         "speed_limit": None if random.random() < 0.1 else random.uniform(5.0, 30.0),

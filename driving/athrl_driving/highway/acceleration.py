@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TypeVar
 
 import gymnasium
@@ -33,7 +32,7 @@ def accelerate(env: Environment) -> Environment:
         raise UnknownClassError(f"cannot accelerate {name}: it is not an environment of highway-env")
     announce_compilation(kernels.step, 30)
     if not isinstance(plain, AcceleratedEnvironment):
-        plain.__class__ = _accelerated_class(type(plain))
+        plain.__class__ = standing_in(type(plain), AcceleratedEnvironment)
         plain.road = plain.__dict__.get("road")
         plain.observation_type = plain.__dict__.get("observation_type")
     return env
@@ -65,8 +64,3 @@ class AcceleratedEnvironment:
         if observation is not None:
             accelerate_observation(observation)
         self.__dict__["observation_type"] = observation
-
-
-@cache
-def _accelerated_class(plain: type[AbstractEnv]) -> type[AbstractEnv]:
-    return standing_in(plain, AcceleratedEnvironment)

@@ -1,8 +1,7 @@
-"""What vehicles decide: highway-env's `act` of controlled, IDM and linear vehicles, for all of a road at once."""
+"""What vehicles decide: highway-env's `act` of controlled, IDM and linear vehicles."""
 
 import math
 
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     ACC_MAX,
     ACCELERATION,
@@ -43,6 +42,7 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import (
     FIRST_LANE,
     LANE_COUNT,
@@ -62,7 +62,7 @@ from athrl_driving.highway.routes import next_lane
 
 @whole
 def act_as_controlled(rows: Rows, network: Network, row: int) -> bool:
-    """Act as ControlledVehicle and MDPVehicle do without a new action; False where the route leads nowhere."""
+    """Act as ControlledVehicle does without a new action; False where the route leads nowhere."""
     state, parameters = rows.state, rows.parameters
     if not _follow_road(rows, network, row):
         return False
@@ -72,7 +72,9 @@ def act_as_controlled(rows: Rows, network: Network, row: int) -> bool:
 
 
 @whole
-def act_as_idm(rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool, row: int) -> bool:
+def act_as_idm(
+    rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool, row: int
+) -> bool:
     """Act as IDMVehicle and LinearVehicle do; False where the route leads nowhere."""
     marks, state, parameters = rows.marks, rows.state, rows.parameters
     if not _follow_road(rows, network, row):
@@ -210,7 +212,9 @@ def _abort_lane_change(rows: Rows, network: Network, scratch: Scratch, vehicles:
 
 
 @part
-def _choose_lane(rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int) -> None:
+def _choose_lane(
+    rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int
+) -> None:
     """Take the lane to the left or to the right where MOBIL recommends it."""
     rows.state[TIMER, row] = 0.0
     lane = rows.marks[LANE, row]
@@ -266,7 +270,9 @@ def _sign(number):  # type: ignore[no-untyped-def]
 
 
 @whole
-def act_all(rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool) -> int:
+def act_all(
+    rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool
+) -> int:
     """Let all vehicles act in their order; return the row whose route leads nowhere, or NONE."""
     kinds = rows.marks[KIND]
     for row in range(vehicles):

@@ -2,7 +2,6 @@
 
 import math
 
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     CHECK_COLLISIONS,
     COLLIDABLE,
@@ -22,11 +21,12 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
+from athrl_driving.highway.compiling import part, whole
 
 
 @whole
 def collide_all(rows: Rows, scratch: Scratch, vehicles: int, count: int, dt: float) -> None:
-    """Handle the collisions of every vehicle with the later ones and with all objects, in highway-env's order."""
+    """Handle collisions of every vehicle with the later ones, then with all objects, as highway-env does."""
     x, y, radius = scratch.x, scratch.y, scratch.radius
     for row in range(count):
         x[row], y[row] = rows.position[row, 0], rows.position[row, 1]

@@ -1,7 +1,7 @@
 """What the arrays hold: vehicles and objects as columns of rows, lanes as rows of columns.
 
-Row i < N is vehicle i of `road.vehicles`, the rows behind them are `road.objects`, in their order: highway-env
-settles ties by the order of these lists. The names are highway-env's.
+Row i < N is vehicle i of `road.vehicles`, the rows behind them are `road.objects`, in their order:
+highway-env settles ties by the order of these lists. The names are highway-env's.
 """
 
 from typing import NamedTuple

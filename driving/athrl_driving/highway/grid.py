@@ -10,13 +10,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.highway.compiling import entry, part, whole
 from athrl_driving.highway.columns import Floats, Integers
+from athrl_driving.highway.compiling import entry, part, whole
 from athrl_driving.highway.lanes import (
     AMPLITUDE,
     CIRCULAR,
-    DIRECTION_X,
-    DIRECTION_Y,
     LANE_LENGTH,
     ORIGIN_X,
     ORIGIN_Y,

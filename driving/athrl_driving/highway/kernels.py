@@ -1,22 +1,24 @@
 """The compiled functions that Python calls: a road's `act` and `step`, and its questions."""
 
-from athrl_driving.highway.compiling import entry
 import math
 
 from athrl_driving.by_reference import by_reference
 from athrl_driving.highway.behaviour import act_all
 from athrl_driving.highway.collisions import collide_all
 from athrl_driving.highway.columns import FAILED_ROW, LANE, NONE, Floats, Integers, Rows, Scratch
+from athrl_driving.highway.compiling import entry
 from athrl_driving.highway.lanes import Network, closest_lane, lane_coordinates
 from athrl_driving.highway.motion import move_all
 from athrl_driving.highway.neighbours import begin_frame, neighbours
 from athrl_driving.highway.regulation import enforce_road_rules
 
+
 @entry
-def act(
-    rows: Rows, network: Network, scratch: Scratch, vehicles: int, objects: int, connected: bool
-) -> bool:
-    """Let all vehicles decide; False where a route leads nowhere, for the row `scratch.counters[FAILED_ROW]`."""
+def act(rows: Rows, network: Network, scratch: Scratch, vehicles: int, objects: int, connected: bool) -> bool:
+    """Let all vehicles decide.
+
+    False where a route leads nowhere, for the row `scratch.counters[FAILED_ROW]`.
+    """
     count = vehicles + objects
     of_rows, of_network, of_scratch = by_reference(rows), by_reference(network), by_reference(scratch)
     begin_frame(of_rows, of_network, of_scratch, count)
@@ -59,7 +61,14 @@ def find_lane(network: Network, x: float, y: float, heading: float) -> int:
 
 @entry
 def look(
-    rows: Rows, network: Network, scratch: Scratch, vehicles: int, objects: int, connected: bool, row: int, lane: int
+    rows: Rows,
+    network: Network,
+    scratch: Scratch,
+    vehicles: int,
+    objects: int,
+    connected: bool,
+    row: int,
+    lane: int,
 ) -> tuple[int, int]:
     """Return the rows before and behind a vehicle on a lane, NONE where there is nobody."""
     of_rows, of_network, of_scratch = by_reference(rows), by_reference(network), by_reference(scratch)

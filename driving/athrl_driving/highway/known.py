@@ -18,7 +18,17 @@ from highway_env.vehicle.dynamics import BicycleVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle, RoadObject
 
-from athrl_driving.highway.columns import BICYCLE, CONTROLLED, IDM, LANDMARK, LINEAR, OBSTACLE, VEHICLE
+from athrl_driving.highway.columns import (
+    BICYCLE,
+    CONTROLLED,
+    IDM,
+    LANDMARK,
+    LINEAR,
+    OBSTACLE,
+    SCALAR_PARAMETERS,
+    VECTOR_PARAMETERS,
+    VEHICLE,
+)
 
 
 class UnknownClassError(ValueError):
@@ -39,37 +49,110 @@ KINDS: dict[type, int] = {
 }
 
 OBJECT_BEHAVIOUR = frozenset(
-    """
-    __bool__ __delattr__ __eq__ __getattr__ __getattribute__ __len__ __setattr__
-    _is_colliding acceleration acceleration_features act change_lane_policy clip_actions derivative_func
-    desired_gap direction follow_road front_distance_to handle_collisions lane_distance_to mobil
-    on_state_update polygon predict_trajectory_constant_speed speed_control state steering_control
-    steering_features step velocity
-    position heading speed target_speed action timer impact lane lane_index target_lane_index route crashed hit
-    solid collidable check_collisions enable_lane_change is_yielding yield_timer diagonal lateral_speed yaw_rate
-    """.split()
+    (
+        "__bool__",
+        "__delattr__",
+        "__eq__",
+        "__getattr__",
+        "__getattribute__",
+        "__len__",
+        "__setattr__",
+        "_is_colliding",
+        "acceleration",
+        "acceleration_features",
+        "act",
+        "change_lane_policy",
+        "clip_actions",
+        "derivative_func",
+        "desired_gap",
+        "direction",
+        "follow_road",
+        "front_distance_to",
+        "handle_collisions",
+        "lane_distance_to",
+        "mobil",
+        "on_state_update",
+        "polygon",
+        "predict_trajectory_constant_speed",
+        "speed_control",
+        "state",
+        "steering_control",
+        "steering_features",
+        "step",
+        "velocity",
+        "position",
+        "heading",
+        "speed",
+        "target_speed",
+        "action",
+        "timer",
+        "impact",
+        "lane",
+        "lane_index",
+        "target_lane_index",
+        "route",
+        "crashed",
+        "hit",
+        "solid",
+        "collidable",
+        "check_collisions",
+        "enable_lane_change",
+        "is_yielding",
+        "yield_timer",
+        "diagonal",
+        "lateral_speed",
+        "yaw_rate",
+    )
 )
 """What vehicles and objects do in a frame, and the state that becomes columns."""
 
 LANE_BEHAVIOUR = frozenset(
-    """
-    __getattr__ __getattribute__ after_end distance distance_with_heading heading_at is_reachable_from
-    local_angle local_coordinates on_lane position width_at
-    """.split()
+    (
+        "__getattr__",
+        "__getattribute__",
+        "after_end",
+        "distance",
+        "distance_with_heading",
+        "heading_at",
+        "is_reachable_from",
+        "local_angle",
+        "local_coordinates",
+        "on_lane",
+        "position",
+        "width_at",
+    )
 )
 
 ROAD_BEHAVIOUR = frozenset(
-    """
-    __getattr__ __getattribute__ __setattr__ act close_objects_to close_vehicles_to enforce_road_rules
-    is_conflict_possible neighbour_vehicles network objects respect_priorities step vehicles
-    """.split()
+    (
+        "__getattr__",
+        "__getattribute__",
+        "__setattr__",
+        "act",
+        "close_objects_to",
+        "close_vehicles_to",
+        "enforce_road_rules",
+        "is_conflict_possible",
+        "neighbour_vehicles",
+        "network",
+        "objects",
+        "respect_priorities",
+        "step",
+        "vehicles",
+    )
 )
 
 NETWORK_BEHAVIOUR = frozenset(
-    """
-    __getattr__ __getattribute__ get_closest_lane_index get_lane next_lane next_lane_given_next_road
-    position_heading_along_route side_lanes
-    """.split()
+    (
+        "__getattr__",
+        "__getattribute__",
+        "get_closest_lane_index",
+        "get_lane",
+        "next_lane",
+        "next_lane_given_next_road",
+        "position_heading_along_route",
+        "side_lanes",
+    )
 )
 
 
@@ -104,8 +187,17 @@ def vars_of_methods(known: type) -> frozenset[str]:
     return frozenset(name for name in dir(known) if callable(getattr_static(known, name)))
 
 
-@cache
 def _known_base(cls: type, known: tuple[type, ...], behaviour: frozenset[str], what: str) -> type:
+    """Return the known class that a class behaves as; that is found out once for each class."""
+    if (cls, what) not in _bases:
+        _bases[cls, what] = _find_known_base(cls, known, behaviour, what)
+    return _bases[cls, what]
+
+
+_bases: dict[tuple[type, str], type] = {}
+
+
+def _find_known_base(cls: type, known: tuple[type, ...], behaviour: frozenset[str], what: str) -> type:
     base = next((ancestor for ancestor in cls.__mro__ if ancestor in known), None)
     if base is None:
         names = ", ".join(other.__name__ for other in known)
@@ -115,6 +207,11 @@ def _known_base(cls: type, known: tuple[type, ...], behaviour: frozenset[str], w
         if getattr_static(cls, name, missing) is not getattr_static(base, name, missing):
             raise UnknownClassError(
                 f"cannot accelerate the {what} class {_name(cls)}: it overrides {base.__name__}.{name}"
+            )
+    for name in (*SCALAR_PARAMETERS, *VECTOR_PARAMETERS):
+        if hasattr(getattr_static(cls, name, None), "__get__"):
+            raise UnknownClassError(
+                f"cannot accelerate the {what} class {_name(cls)}: its {name} is no number, but computed"
             )
     return base
 

@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import Floats, Integers
+from athrl_driving.highway.compiling import part, whole
 
 # float64 [L, LANE_COLUMNS]
 SHAPE = 0
@@ -42,7 +42,7 @@ TO_NODE = 3
 
 
 class Network(NamedTuple):
-    """A road network: lanes in the graph's order, so that the lanes of a road and the roads of a node adjoin."""
+    """A road network: lanes in the graph's order, so a road's lanes and a node's roads adjoin."""
 
     lanes: Floats
     """[L, LANE_COLUMNS]."""
@@ -163,7 +163,7 @@ def is_after_end(lanes, lane, along):  # type: ignore[no-untyped-def]
 
 @whole
 def closest_lane(network: Network, x: float, y: float, heading: float, likely: int) -> int:
-    """Return the closest lane to a pose (m, rad), of equals the first one. `likely` is where to look first."""
+    """Return the closest lane to a pose (m, rad), of equals the first; `likely` is where to look first."""
     lanes = network.lanes
     columns, rows = network.grid_shape[0], network.grid_shape[1]
     first, last = 0, len(lanes)

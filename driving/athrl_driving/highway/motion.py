@@ -2,7 +2,6 @@
 
 import math
 
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     ACCELERATION,
     BICYCLE,
@@ -34,6 +33,7 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import Network, clip, closest_lane
 
 

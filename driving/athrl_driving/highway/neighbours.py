@@ -7,7 +7,6 @@ Of vehicles abreast, highway-env's loop prefers the last of the list in front an
 
 import math
 
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     FRAME,
     HEADING,
@@ -20,6 +19,7 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import (
     AMPLITUDE,
     CIRCULAR,
@@ -55,7 +55,14 @@ def begin_frame(rows: Rows, network: Network, scratch: Scratch, count: int) -> N
 
 @whole
 def neighbours(
-    rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int, lane: int, along: float
+    rows: Rows,
+    network: Network,
+    scratch: Scratch,
+    count: int,
+    connected: bool,
+    row: int,
+    lane: int,
+    along: float,
 ) -> tuple[int, int]:
     """Return the rows before and behind (or NONE) on a lane of who is at `along` (m) on it."""
     listed = scratch.listed

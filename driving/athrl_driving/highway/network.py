@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import OrderedDict
 from typing import Any
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
+from highway_env.road.lane import AbstractLane, CircularLane, SineLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 
+from athrl_driving.highway import lanes as column
 from athrl_driving.highway.columns import Floats, Integers
 from athrl_driving.highway.grid import closest_lane_grid
 from athrl_driving.highway.known import lane_class
-from athrl_driving.highway import lanes as column
 from athrl_driving.highway.lanes import Network
 
 KEPT_NETWORKS = 16
@@ -23,7 +24,10 @@ _kept: OrderedDict[bytes, Network] = OrderedDict()
 
 
 class CompiledNetwork:
-    """The lanes of a road network as they were when this was made. Raises `UnknownClassError` for other lanes."""
+    """The lanes of a road network as they were when this was made.
+
+    Raises `UnknownClassError` for lanes that the kernels do not know.
+    """
 
     def __init__(self, network: RoadNetwork) -> None:
         self.indices: list[LaneIndex] = []
@@ -45,10 +49,16 @@ class CompiledNetwork:
         self._row_of_lane = {id(lane): row for row, lane in enumerate(self.lanes)}
         self.lane_count = {(roads[i][2], roads[i][3]): roads[i][1] for i in range(len(roads))}
         numbers = np.array([_lane_numbers(lane) for lane in self.lanes]).reshape(-1, column.LANE_COLUMNS)
-        self.arrays = _arrays(numbers, np.array(roads, np.int64).reshape(-1, 4), np.array(node_roads, np.int64))
+        self.arrays = _arrays(
+            numbers, np.array(roads, np.int64).reshape(-1, 4), np.array(node_roads, np.int64)
+        )
 
     def __deepcopy__(self, memo: dict) -> CompiledNetwork:
-        return self
+        twin = copy.copy(self)  # the arrays are never written
+        memo[id(self)] = twin
+        twin.lanes = copy.deepcopy(self.lanes, memo)
+        twin._row_of_lane = {id(lane): row for row, lane in enumerate(twin.lanes)}
+        return twin
 
     def row(self, index: LaneIndex) -> int:
         """Return the row of a lane index, also where its number counts from the end or is None.

@@ -1,8 +1,7 @@
-"""highway-env's kinematic observation without pandas, which costs more than many frames of compiled traffic."""
+"""highway-env's kinematic observation without pandas, which costs more than many compiled frames."""
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -39,12 +38,7 @@ def accelerate_observation(observation: ObservationType) -> None:
     elif isinstance(observation, KinematicObservation) and all(
         getattr(type(observation), name) is getattr(KinematicObservation, name) for name in _OWN_METHODS
     ):
-        observation.__class__ = _quick_class(type(observation))
-
-
-@cache
-def _quick_class(plain: type) -> type:
-    return standing_in(plain, QuickKinematics)
+        observation.__class__ = standing_in(type(observation), QuickKinematics)
 
 
 class QuickKinematics:
@@ -95,7 +89,8 @@ class QuickKinematics:
 
 
 def _has_known_dictionaries(table: Table) -> bool:
-    return all(cls.to_dict in _DICTIONARIES for cls in table.classes)
+    classes: set[Any] = table.classes
+    return all(cls.to_dict in _DICTIONARIES for cls in classes)
 
 
 def _values(
@@ -122,7 +117,9 @@ def _values(
         values["heading"] = np.where(moves, heading, np.nan)
     if any(name in features for name in _OFFSETS):
         unknown = np.full(3, np.nan)
-        offsets = [thing.lane_offset if moving else unknown for thing, moving in zip(seen, moves, strict=True)]
+        offsets = [
+            thing.lane_offset if moving else unknown for thing, moving in zip(seen, moves, strict=True)
+        ]
         values.update(zip(_OFFSETS, np.array(offsets).T, strict=True))
     if any(name in features for name in _DIRECTIONS):
         directions = np.zeros((len(seen), 2))

@@ -31,7 +31,9 @@ def differences(plain: Road, accelerated: Road) -> list[tuple[str, float]]:
         for name, size in _differences(one, other):
             if size > 0.0 or np.isnan(size):
                 shown = getattr(one, name, None), getattr(other, name, None)
-                found.append((f"{name} of {number}: {shown[0]}, not {shown[1]}", np.inf if np.isnan(size) else size))
+                found.append(
+                    (f"{name} of {number}: {shown[0]}, not {shown[1]}", np.inf if np.isnan(size) else size)
+                )
     return found
 
 

@@ -2,7 +2,6 @@
 
 import math
 
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import (
     BICYCLE,
     CONTROLLED,
@@ -22,6 +21,7 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import PRIORITY, SPEED_LIMIT, Network, lane_coordinates
 from athrl_driving.highway.motion import predict_steering
 from athrl_driving.highway.routes import pose_on_route

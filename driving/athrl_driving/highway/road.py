@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 from highway_env.road.regulation import RegulatedRoad
-from highway_env.road.road import LaneIndex, Road, RoadNetwork
+from highway_env.road.road import LaneIndex, Road
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
@@ -21,24 +20,24 @@ from athrl_driving.highway.table import Table
 
 
 class AcceleratedNetwork:
-    """What makes a network find the closest lane with a kernel; its lanes are read when that is first needed."""
+    """What makes a network find the closest lane with a kernel; its lanes are read when first needed."""
 
     __slots__ = ()
 
-    def add_lane(self, *arguments: Any, **settings: Any) -> None:
+    def add_lane(self: Any, *arguments: Any, **settings: Any) -> None:
         """Add a lane, so that the lanes are read again."""
         type(self).plain.add_lane(self, *arguments, **settings)
         self.__dict__.pop("_compiled", None)
 
     @property
-    def compiled(self) -> CompiledNetwork:
+    def compiled(self: Any) -> CompiledNetwork:
         """The lanes as arrays. Raises `UnknownClassError` that names the class of an unknown lane."""
         if "_compiled" not in self.__dict__:
             self.__dict__["_compiled"] = CompiledNetwork(self)
         return self.__dict__["_compiled"]
 
     def get_closest_lane_index(
-        self, position: NDArray[np.float64], heading: float | None = None
+        self: Any, position: NDArray[np.float64], heading: float | None = None
     ) -> LaneIndex:
         """Return the index of the lane closest to a position (m) and, where given, a heading (rad)."""
         if heading is None:
@@ -52,27 +51,26 @@ class AcceleratedRoad:
     """What makes a road run its vehicles as rows of arrays."""
 
     __slots__ = ()
-    _table: Table | None
 
     @property
-    def table(self) -> Table:
+    def table(self: Any) -> Table:
         """The arrays, of the vehicles and objects that are in the lists now."""
         network = self.network.compiled
         if self._table is None or self._table.network is not network:
             self._release()
             self.__dict__["_table"] = Table(network)
-        table = self._table
+        table: Table = self._table
         things = self.vehicles + self.objects
         if things != table.things or len(self.vehicles) != table.vehicle_count:
             table.set_things(self.vehicles, self.objects)
         table.read_parameters()
         return table
 
-    def _release(self) -> None:
+    def _release(self: Any) -> None:
         if self._table is not None:
             self._table.set_things((), ())
 
-    def act(self) -> None:
+    def act(self: Any) -> None:
         """Decide the actions of each entity on the road."""
         table = self.table
         objects = len(table.things) - table.vehicle_count
@@ -81,7 +79,7 @@ class AcceleratedRoad:
         if not kernels.act(table.rows, arrays, table.scratch, table.vehicle_count, objects, connected):
             self._raise_for_route(table)
 
-    def step(self, dt: float) -> None:
+    def step(self: Any, dt: float) -> None:
         """Step the dynamics of each entity on the road by dt seconds."""
         regulated, duration = self._regulation(dt)
         table = self.table
@@ -96,7 +94,7 @@ class AcceleratedRoad:
                 vehicle.history.appendleft(vehicle.create_from(vehicle))
 
     def close_objects_to(
-        self,
+        self: Any,
         vehicle: Vehicle,
         distance: float,
         count: int | None = None,
@@ -131,7 +129,7 @@ class AcceleratedRoad:
         return [things[row] for row in rows]
 
     def neighbour_vehicles(
-        self, vehicle: Vehicle, lane_index: LaneIndex | None = None
+        self: Any, vehicle: Vehicle, lane_index: LaneIndex | None = None
     ) -> tuple[RoadObject | None, RoadObject | None]:
         """Return who is before and behind a vehicle on a lane (its own where None is given)."""
         table = self.table
@@ -151,10 +149,10 @@ class AcceleratedRoad:
         things = table.things
         return None if front == NONE else things[front], None if rear == NONE else things[rear]
 
-    def _regulation(self, dt: float) -> tuple[bool, float]:
+    def _regulation(self: Any, dt: float) -> tuple[bool, float]:
         return False, 0.0
 
-    def _raise_for_route(self, table: Table) -> None:
+    def _raise_for_route(self: Any, table: Table) -> None:
         row = int(table.scratch.counters[FAILED_ROW])
         vehicle: Any = table.things[row]
         raise IndexError(
@@ -168,7 +166,7 @@ class AcceleratedRegulatedRoad(AcceleratedRoad):
 
     __slots__ = ()
 
-    def _regulation(self, dt: float) -> tuple[bool, float]:
+    def _regulation(self: Any, dt: float) -> tuple[bool, float]:
         """Count the step; return whether the rules are due, and for how many rounds a vehicle yields."""
         self.steps += 1
         due = self.steps % int(1 / dt / self.REGULATION_FREQUENCY) == 0
@@ -182,17 +180,7 @@ def accelerate_road(road: Road) -> None:
     regulated = road_class(road) is RegulatedRoad
     network_class(road.network)
     if not isinstance(road.network, AcceleratedNetwork):
-        road.network.__class__ = _network_class(type(road.network))
+        road.network.__class__ = standing_in(type(road.network), AcceleratedNetwork)
     road.__dict__["_table"] = None
-    road.__class__ = _road_class(type(road), regulated)
+    road.__class__ = standing_in(type(road), AcceleratedRegulatedRoad if regulated else AcceleratedRoad)
     _ = road.table
-
-
-@cache
-def _network_class(plain: type) -> type:
-    return standing_in(plain, AcceleratedNetwork)
-
-
-@cache
-def _road_class(plain: type, regulated: bool) -> type:
-    return standing_in(plain, AcceleratedRegulatedRoad if regulated else AcceleratedRoad)

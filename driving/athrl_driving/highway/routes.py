@@ -2,8 +2,8 @@
 
 import math
 
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.columns import LANE, NONE, ROUTE_END, ROUTE_HEAD, Rows
+from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import (
     FIRST_LANE,
     FROM_NODE,

@@ -131,7 +131,8 @@ def _changing(name: str) -> Callable:
     return method
 
 
-for _name in "append clear extend insert pop remove reverse sort __delitem__ __setitem__ __iadd__ __imul__".split():
+_CHANGES = ("append", "clear", "extend", "insert", "pop", "remove", "reverse", "sort")
+for _name in (*_CHANGES, "__delitem__", "__setitem__", "__iadd__", "__imul__"):
     setattr(Route, _name, _changing(_name))
 
 
@@ -139,6 +140,7 @@ class Row:
     """What makes a vehicle or an object a row of a `Table`."""
 
     __slots__ = ()
+    plain: type
     _table: Table
     _row: int
 
@@ -226,6 +228,7 @@ class ControlledRow(VehicleRow):
 
     __slots__ = ()
 
+    road: Any
     _route: Route | None
     target_speed = _state(column.TARGET_SPEED)
     target_lane_index = _lane_index(column.TARGET_LANE)
@@ -278,8 +281,7 @@ _ROW_OF_KIND: dict[int, type[Row]] = {
 }
 
 
-@cache
-def row_class(plain: type[RoadObject], kind: int) -> RowType:
+def row_class(plain: type[RoadObject], kind: int) -> Any:
     """Return the class of rows that stands for a class of highway-env."""
     return standing_in(plain, _ROW_OF_KIND[kind], RowType)
 

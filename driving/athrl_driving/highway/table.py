@@ -27,7 +27,7 @@ from athrl_driving.highway.columns import (
 )
 from athrl_driving.highway.known import object_kind
 from athrl_driving.highway.network import CompiledNetwork
-from athrl_driving.highway.rows import PARAMETERS, Route, Row, column_names, row_class
+from athrl_driving.highway.rows import Route, Row, column_names, row_class
 
 ROOM = 16
 """Rows for which there is room at first; also roads of a route."""
@@ -52,7 +52,7 @@ class Table:
         self._make_room(ROOM)
 
     def set_things(self, vehicles: Sequence[RoadObject], objects: Sequence[RoadObject]) -> None:
-        """Let the rows be these vehicles and objects, in this order; who is no longer in them becomes plain."""
+        """Let the rows be these vehicles and objects, in this order; who is not among them becomes plain."""
         things = [*vehicles, *objects]
         kinds = [self._kind(thing) for thing in things]
         staying = {id(thing) for thing in things}
@@ -223,7 +223,12 @@ def _new_rows(room: int, roads: int) -> Rows:
 
 def _new_scratch(room: int, lanes: int) -> Scratch:
     return Scratch(
-        *(np.zeros(room) for _ in range(6)),
+        x=np.zeros(room),
+        y=np.zeros(room),
+        cosine=np.zeros(room),
+        sine=np.zeros(room),
+        along=np.zeros(room),
+        radius=np.zeros(room),
         listed=np.zeros((lanes, 3), np.int64),
         pool_along=np.zeros(LISTS * room),
         pool_row=np.zeros(LISTS * room, np.int64),
