@@ -14,6 +14,7 @@ from gymnasium.envs.registration import register, registry
 if TYPE_CHECKING:
     from .drivers import BlindRouteFollower, Driver, RandomDriver, RuleBasedDriver, make_driver
     from .envs import TownEnv, TownVectorEnv
+    from .highway import accelerate
     from .scene import Scene, VehiclePose, lane_polylines
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "TownEnv",
     "TownVectorEnv",
     "VehiclePose",
+    "accelerate",
     "lane_polylines",
     "make_driver",
 ]
@@ -38,6 +40,7 @@ _MODULE_OF_NAME = {
     "TownEnv": "envs",
     "TownVectorEnv": "envs",
     "VehiclePose": "scene",
+    "accelerate": "highway",
     "lane_polylines": "scene",
     "make_driver": "drivers",
 }

@@ -13,7 +13,6 @@ from athrl_driving.highway.columns import (
     LANE,
     LENGTH,
     NONE,
-    SPEED,
     TARGET_SPEED,
     TRAJECTORY_POINTS,
     WIDTH,
@@ -22,9 +21,9 @@ from athrl_driving.highway.columns import (
     Scratch,
 )
 from athrl_driving.highway.compiling import part, whole
-from athrl_driving.highway.lanes import PRIORITY, SPEED_LIMIT, Network, lane_coordinates
+from athrl_driving.highway.lanes import PRIORITY, SPEED_LIMIT, Network
 from athrl_driving.highway.motion import predict_steering
-from athrl_driving.highway.routes import pose_on_route
+from athrl_driving.highway.routes import predict_on_route
 
 POINT_SPACING = 0.25
 """s between the points of a predicted trajectory."""
@@ -96,18 +95,10 @@ def _yielding(rows: Rows, network: Network, first: int, second: int) -> int:
 def _predict(rows: Rows, network: Network, scratch: Scratch, row: int) -> bool:
     """Predict where a vehicle will be at constant speed; False where its route leads nowhere."""
     trajectory, reach = scratch.trajectory, scratch.reach
-    lane = rows.marks[LANE, row]
     if rows.marks[KIND, row] <= BICYCLE:
         predict_steering(rows, scratch, row, POINT_SPACING)
-    else:
-        along = lane_coordinates(network.lanes, lane, rows.position[row, 0], rows.position[row, 1])[0]
-        for point in range(TRAJECTORY_POINTS):
-            time = POINT_SPACING * (point + 1)
-            x, y, heading = pose_on_route(rows, network, row, along + rows.state[SPEED, row] * time)
-            if math.isnan(x):
-                return False
-            trajectory[row, point, 0], trajectory[row, point, 1] = x, y
-            trajectory[row, point, 2] = heading
+    elif not predict_on_route(rows, network, scratch, row, POINT_SPACING):
+        return False
     reach[row, 0] = reach[row, 1] = math.inf
     reach[row, 2] = reach[row, 3] = -math.inf
     for point in range(TRAJECTORY_POINTS):

@@ -2,7 +2,16 @@
 
 import math
 
-from athrl_driving.highway.columns import LANE, NONE, ROUTE_END, ROUTE_HEAD, Rows
+from athrl_driving.highway.columns import (
+    LANE,
+    NONE,
+    ROUTE_END,
+    ROUTE_HEAD,
+    SPEED,
+    TRAJECTORY_POINTS,
+    Rows,
+    Scratch,
+)
 from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import (
     FIRST_LANE,
@@ -13,6 +22,7 @@ from athrl_driving.highway.lanes import (
     Network,
     distance_to_lane,
     lane_centre,
+    lane_coordinates,
     lane_heading,
 )
 
@@ -79,30 +89,43 @@ def _lane_of_road(network: Network, lane: int, following: int, number: int, x: f
 
 
 @whole
-def pose_on_route(rows: Rows, network: Network, row: int, along: float) -> tuple[float, float, float]:
-    """Return where (x, y in m, heading) a vehicle is that follows its route's lanes for `along` m.
+def lane_of_route(rows: Rows, network: Network, row: int, place: int) -> int:
+    """Return the lane at a place of a route (the vehicle's own where it has none), NONE where there is none."""
+    lane = rows.marks[LANE, row]
+    if rows.marks[ROUTE_HEAD, row] >= rows.marks[ROUTE_END, row]:
+        return lane
+    road = road_between(network, rows.route[row, place, 0], rows.route[row, place, 1])
+    number = rows.route[row, place, 2]
+    if number == NONE:
+        number = lane - network.roads[network.lane_road[lane], FIRST_LANE]
+    if road == NONE or number >= network.roads[road, LANE_COUNT]:
+        return NONE
+    return network.roads[road, FIRST_LANE] + number
 
-    `along` counts from the start of the route's first road. Not a number where the route names a lane that
+
+@whole
+def predict_on_route(rows: Rows, network: Network, scratch: Scratch, row: int, spacing: float) -> bool:
+    """Predict where a vehicle will be that follows its route's lanes at constant speed, `spacing` s apart.
+
+    As in highway-env it is taken to be on the route's first road. False where the route names a lane that
     is not there.
     """
-    head, end = rows.marks[ROUTE_HEAD, row], rows.marks[ROUTE_END, row]
-    lane = rows.marks[LANE, row]
-    if head >= end:
-        x, y = lane_centre(network.lanes, lane, along)
-        return x, y, lane_heading(network.lanes, lane, along)
-    own_number = lane - network.roads[network.lane_road[lane], FIRST_LANE]
-    while True:
-        road = road_between(network, rows.route[row, head, 0], rows.route[row, head, 1])
-        number = rows.route[row, head, 2]
-        if number == NONE:
-            number = own_number
-        if road == NONE or number >= network.roads[road, LANE_COUNT]:
-            return math.nan, math.nan, math.nan
-        lane = network.roads[road, FIRST_LANE] + number
-        length = network.lanes[lane, LANE_LENGTH]
-        if head + 1 >= end or not along > length:
-            break
-        along -= length
-        head += 1
-    x, y = lane_centre(network.lanes, lane, along)
-    return x, y, lane_heading(network.lanes, lane, along)
+    lanes, trajectory = network.lanes, scratch.trajectory
+    own, head = rows.marks[LANE, row], rows.marks[ROUTE_HEAD, row]
+    last = rows.marks[ROUTE_END, row] - 1
+    start = lane_coordinates(lanes, own, rows.position[row, 0], rows.position[row, 1])[0]
+    first_lane = lane_of_route(rows, network, row, head)
+    if first_lane == NONE:
+        return False
+    for point in range(TRAJECTORY_POINTS):
+        along = start + rows.state[SPEED, row] * (spacing * (point + 1))
+        lane, place = first_lane, head
+        while place < last and along > lanes[lane, LANE_LENGTH]:
+            along -= lanes[lane, LANE_LENGTH]
+            place += 1
+            lane = lane_of_route(rows, network, row, place)
+            if lane == NONE:
+                return False
+        trajectory[row, point, 0], trajectory[row, point, 1] = lane_centre(lanes, lane, along)
+        trajectory[row, point, 2] = lane_heading(lanes, lane, along)
+    return True
