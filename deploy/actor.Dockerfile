@@ -5,7 +5,7 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/* \
     && python3 -m venv /opt/athrl \
     && useradd --uid 10001 --create-home athrl \
-    && install --directory --owner athrl /var/cache/athrl
+    && install --directory --owner athrl /var/cache/athrl /certificates/actor
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/var/cache/athrl OMP_NUM_THREADS=1 SDL_VIDEODRIVER=dummy
 STOPSIGNAL SIGTERM

@@ -5,7 +5,8 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/* \
     && python3 -m venv /opt/athrl \
     && useradd --uid 10001 --create-home athrl \
-    && install --directory --owner athrl /runs
+    && install --directory --owner athrl /runs /certificates/authority /certificates/learner /certificates/actor \
+        /certificates/evaluator /certificates/viewer
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1
 VOLUME /runs
 EXPOSE 7447

@@ -73,7 +73,7 @@ def certificates(
     if renew:
         made = renew_roles(folder, renew, hosts if names else None, days)
     elif if_missing:
-        made = complete(folder, hosts, days)
+        made = complete(folder, hosts, days, required=_given(names or []))
     else:
         made = make_all(folder, hosts, days)
     for role in made:
@@ -98,8 +98,11 @@ def make_all(folder: Path, hosts: Iterable[str], days: int) -> list[str]:
     return complete(folder, hosts, days)
 
 
-def complete(folder: Path, hosts: Iterable[str], days: int) -> list[str]:
-    """Make what is missing or ends soon; return the names of the folders made."""
+def complete(folder: Path, hosts: Iterable[str], days: int, required: Iterable[str] = ()) -> list[str]:
+    """Make what is missing or ends soon, and the learner's if a required name is not in it.
+
+    Returns the names of the folders made.
+    """
     names = list(hosts)
     made = []
     if not (folder / AUTHORITY / CERTIFICATE_FILE).exists():
@@ -107,7 +110,8 @@ def complete(folder: Path, hosts: Iterable[str], days: int) -> list[str]:
         made.append(AUTHORITY)
     authority = _load_authority(folder)
     for role in ROLES:
-        if AUTHORITY in made or _is_due(folder / role, authority):
+        lacks = role == "learner" and not _has_names(folder / role, required)
+        if AUTHORITY in made or lacks or _is_due(folder / role, authority):
             _write_role(folder / role, _new_role(authority, role, names, days), authority)
             made.append(role)
     return made
@@ -132,11 +136,16 @@ def renew_roles(folder: Path, roles: Iterable[str], hosts: Iterable[str] | None,
 
 def _hosts(given: Iterable[str]) -> list[str]:
     """Return all names of the learner, each once; raises `CommandError` for what is none."""
-    named = [name.strip() for names in given for name in names.split(",")]
-    hosts = dict.fromkeys([*named, "learner", "localhost", socket.gethostname().lower(), "127.0.0.1", "::1"])
+    hosts = dict.fromkeys(
+        [*_given(given), "learner", "localhost", socket.gethostname().lower(), "127.0.0.1", "::1"]
+    )
     for host in hosts:
         _subject_name(host)
     return list(hosts)
+
+
+def _given(names: Iterable[str]) -> list[str]:
+    return [name.strip() for several in names for name in several.split(",")]
 
 
 def _subject_name(host: str) -> x509.GeneralName:
@@ -227,6 +236,12 @@ def _is_due(role_folder: Path, authority: Identity) -> bool:
         ends - margin < datetime.datetime.now(datetime.UTC)
         or certificate.issuer != authority.certificate.subject
     )
+
+
+def _has_names(role_folder: Path, names: Iterable[str]) -> bool:
+    wanted = {str(_subject_name(name).value) for name in names}
+    path = role_folder / CERTIFICATE_FILE
+    return path.exists() and wanted <= set(_names_of(path))
 
 
 def _names_of(certificate_file: Path) -> list[str]:

@@ -55,6 +55,7 @@ class Containers:
     compose: list[str]
     environment: dict[str, str]
     port: int
+    operator: Path
 
     def run(self, *arguments: str, seconds: float) -> str:
         result = subprocess.run(
@@ -76,11 +77,20 @@ class Containers:
         """Return the ids of a service's containers."""
         return self.run("ps", "-q", service, seconds=60).split()
 
+    def certificates(self) -> Path:
+        """Return a folder with the viewer's certificate, copied out of its container once it is there."""
+        for container in self.of("viewer"):
+            if not (self.operator / "viewer" / "tls.key").exists():
+                copy = ["docker", "cp", f"{container}:/certificates/viewer", str(self.operator)]
+                subprocess.run(copy, capture_output=True, timeout=60)
+        return self.operator
+
     def status(self) -> dict[str, Any]:
         """Return what `athrl status --json` says; empty while the learner cannot be reached."""
-        address = f"tcp/127.0.0.1:{self.port}"
+        address = f"tls/127.0.0.1:{self.port}"
+        where = ["--connect", address, "--run", RUN, "--certificates", str(self.certificates())]
         result = subprocess.run(
-            [sys.executable, "-m", "athrl", "status", "--connect", address, "--run", RUN, "--json"],
+            [sys.executable, "-m", "athrl", "status", *where, "--json"],
             capture_output=True,
             text=True,
             timeout=90,
@@ -116,7 +126,7 @@ def compose_command() -> list[str]:
 
 
 @pytest.fixture
-def containers() -> Iterator[Containers]:
+def containers(tmp_path: Path) -> Iterator[Containers]:
     """The run's containers; whatever happens, they are taken down again with their volume."""
     port = free_port()
     environment = {
@@ -126,7 +136,7 @@ def containers() -> Iterator[Containers]:
         "ATHRL_PORT": str(port),
         "ATHRL_VIEWER_PORT": str(free_port()),
     }
-    containers = Containers(compose_command(), environment, port)
+    containers = Containers(compose_command(), environment, port, tmp_path)
     containers.run("down", "--volumes", "--timeout", "10", seconds=300)
     try:
         yield containers
@@ -150,6 +160,8 @@ def test_run_grows_comes_back_and_leaves_nothing(containers: Containers) -> None
         for container in containers.of(service):
             wait(f"a healthy {service}", lambda container=container: health(container) == "healthy", 120)
     killed_actor_comes_back_and_is_heard(containers)
+    each_service_has_only_its_own_key(containers)
+    nobody_without_a_certificate_gets_in(containers)
 
     reached = status()["environment_steps"]
     containers.run("down", seconds=300)
@@ -216,6 +228,34 @@ def killed_actor_comes_back_and_is_heard(containers: Containers) -> None:
     assert inspect(actor)["State"]["Pid"] != before["State"]["Pid"]
     so_far = heard()
     wait("its successor to be heard", lambda: heard() > so_far, 180)
+
+
+def each_service_has_only_its_own_key(containers: Containers) -> None:
+    """Look into the containers for keys."""
+    for service in ("learner", "actor", "evaluator", "viewer"):
+        for container in containers.of(service):
+            search = [
+                "docker",
+                "exec",
+                container,
+                "find",
+                "/certificates",
+                "-name",
+                "*.key",
+                "-printf",
+                "%p %m\n",
+            ]
+            found = subprocess.run(search, capture_output=True, text=True, timeout=60, check=True)
+            assert found.stdout.splitlines() == [f"/certificates/{service}/tls.key 600"]
+
+
+def nobody_without_a_certificate_gets_in(containers: Containers) -> None:
+    """Ask the learner's published port without a certificate."""
+    for address in (f"tcp/127.0.0.1:{containers.port}", f"tls/127.0.0.1:{containers.port}"):
+        command = [sys.executable, "-m", "athrl", "status", "--connect", address, "--run", RUN, "--json"]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=90)
+        assert result.returncode == 2
+        assert "certificate" in result.stderr
 
 
 def left() -> list[str]:

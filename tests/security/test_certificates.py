@@ -77,6 +77,12 @@ def test_what_is_missing_or_ends_soon_is_made(tmp_path: Path) -> None:
     assert certificates.complete(tmp_path, ["localhost"], days=365) == ["actor"]
 
 
+def test_learner_gets_a_name_that_it_lacks(tmp_path: Path) -> None:
+    certificates.make_all(tmp_path, ["localhost", "::1"], days=365)
+    assert certificates.complete(tmp_path, ["localhost"], 365, required=["localhost", "0:0::1"]) == []
+    assert certificates.complete(tmp_path, ["new.example"], 365, required=["new.example"]) == ["learner"]
+
+
 def test_renewal_changes_one_role_and_keeps_authority_and_names(tmp_path: Path) -> None:
     certificates.make_all(tmp_path, ["learner.example", "::1"], days=365)
     before = contents(tmp_path)

@@ -10,7 +10,7 @@ import psutil
 import pytest
 from athrl_protocol import RunFile
 
-SECONDS = 180.0
+SECONDS = 600.0  # an actor that starts for the first time compiles the simulation
 
 
 def listening(command) -> set[tuple[str, str, int]]:
@@ -28,6 +28,7 @@ def listening(command) -> set[tuple[str, str, int]]:
     return found
 
 
+@pytest.mark.timeout(1500)
 @pytest.mark.parametrize("encrypted", [False, True])
 def test_local_run_listens_at_loopback_only(
     command, tiny: list[str], port: int, ours: Path, eventually, encrypted: bool

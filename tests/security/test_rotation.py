@@ -9,16 +9,20 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import pytest
 import zenoh
 from athrl_protocol import open_session
 
 from athrl import certificates
 
 SECONDS = 120.0
+COMPILING = 600.0
+"""An actor that starts for the first time after a change of the simulation compiles it."""
 PATIENCE = 30.0
 RUN = "guarded"
 
 
+@pytest.mark.timeout(1200)
 def test_run_goes_on_while_certificates_are_renewed(
     command, tiny: list[str], port: int, ours: Path, eventually
 ) -> None:
@@ -34,7 +38,7 @@ def test_run_goes_on_while_certificates_are_renewed(
         return int(status().get("environment_steps", 0))
 
     def grows_beyond(reached: int) -> None:
-        eventually(lambda: steps() > reached, SECONDS)
+        eventually(lambda: steps() > reached, COMPILING)
 
     def stop(process: subprocess.Popen[str]) -> None:
         os.kill(process.pid, signal.SIGTERM)
