@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from ..envs import TownRow
 from .driver import Driver, town_of
 from .pursuit import pursuit_angle
 
@@ -18,7 +19,7 @@ class BlindRouteFollower(Driver):
     LOOK_AHEAD = 5.0
     """Distance of the pursued point along the route, m."""
 
-    def act(self, env: gymnasium.Env) -> NDArray[np.float32]:
+    def act(self, env: gymnasium.Env | TownRow) -> NDArray[np.float32]:
         """Towards the route."""
         town = town_of(env)
         return town.action_type.normalised(self.SPEED, pursuit_angle(town, self.LOOK_AHEAD))

@@ -8,24 +8,27 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs import TownEnv
+from ..envs import TownEnv, TownRow
+
+DrivenTown = TownEnv | TownRow
+"""A town environment, or one environment of a batch of them."""
 
 
 class Driver(ABC):
     """Decides for the ego of a town environment, wrapped or not."""
 
-    def reset(self, env: gymnasium.Env, seed: int) -> None:
+    def reset(self, env: gymnasium.Env | TownRow, seed: int) -> None:
         """Begin an episode of `env`, which has been reset; `seed` makes what the driver draws repeatable."""
         town_of(env)
 
     @abstractmethod
-    def act(self, env: gymnasium.Env) -> NDArray[np.float32]:
+    def act(self, env: gymnasium.Env | TownRow) -> NDArray[np.float32]:
         """float32 [2] action within [-1, 1] for the environment's present moment."""
 
 
-def town_of(env: gymnasium.Env) -> TownEnv:
+def town_of(env: gymnasium.Env | TownRow) -> DrivenTown:
     """The town environment inside its wrappers; raises TypeError that names what is there instead."""
     town = env.unwrapped
-    if not isinstance(town, TownEnv):
+    if not isinstance(town, (TownEnv, TownRow)):
         raise TypeError(f"a driver needs a TownEnv, this is a {type(town).__name__}")
     return town

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from ..control import WHEEL_ANGLE_PER_STEERING, angle_in_frame
-from ..envs import TownEnv
+from .driver import DrivenTown
 
 
-def pursuit_angle(env: TownEnv, distance: float) -> float:
+def pursuit_angle(env: DrivenTown, distance: float) -> float:
     """Waypoint angle (rad, positive to the right) that leads the ego to the route `distance` metres on.
 
     The circle through the ego and the goal has a curvature; the bicycle model turns it into a wheel angle,

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from ..envs import TownRow
 from .driver import Driver
 
 
@@ -15,11 +16,11 @@ class RandomDriver(Driver):
     def __init__(self) -> None:
         self._generator = np.random.default_rng(0)
 
-    def reset(self, env: gymnasium.Env, seed: int) -> None:
+    def reset(self, env: gymnasium.Env | TownRow, seed: int) -> None:
         """Begin an episode with a generator of its own."""
         super().reset(env, seed)
         self._generator = np.random.default_rng(seed)
 
-    def act(self, env: gymnasium.Env) -> NDArray[np.float32]:
+    def act(self, env: gymnasium.Env | TownRow) -> NDArray[np.float32]:
         """A uniform action."""
         return self._generator.uniform(-1.0, 1.0, size=2).astype(np.float32)

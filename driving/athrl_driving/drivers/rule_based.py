@@ -8,31 +8,27 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs import TownEnv
-from .driver import Driver, town_of
+from ..envs import TownRow
+from ..route import CURVATURE
+from .car_following import following_acceleration, is_safe_behind
+from .driver import DrivenTown, Driver, town_of
+from .lane_change import next_lane_change
 from .pursuit import pursuit_angle
 
 
 class RuleBasedDriver(Driver):
     """The intelligent driver model towards its leader and its stop line, pure pursuit of the route.
 
-    It enters a junction only with the right of way that the road grants.
+    It enters a junction only with the right of way that the road grants, where there are lights at green, and
+    changes lanes only into a gap in which nobody has to brake hard.
     """
 
-    COMFORTABLE_ACCELERATION = 2.0
-    """m/s2"""
-    COMFORTABLE_BRAKING = 2.0
-    """m/s2"""
-    HEADWAY = 1.2
-    """Time kept to the leader, s."""
-    STANDSTILL_GAP = 2.5
-    """Distance kept to a standing leader or to the stop line, m."""
     BEND_BRAKING = 1.5
     """Braking towards a bend, m/s2."""
     LATERAL_ACCELERATION = 2.5
     """Bound in bends, m/s2."""
 
-    def act(self, env: gymnasium.Env) -> NDArray[np.float32]:
+    def act(self, env: gymnasium.Env | TownRow) -> NDArray[np.float32]:
         """Towards the route, as fast as what lies ahead allows."""
         town = town_of(env)
         speed = town.vehicle.speed
@@ -46,34 +42,40 @@ class RuleBasedDriver(Driver):
         """Distance of the pursued point along the route, m."""
         return 4.0 + 0.4 * speed
 
-    def _acceleration(self, env: TownEnv) -> float:
-        """What the most pressing of leader, stop line and free road asks for, m/s2."""
-        speed = env.vehicle.speed
+    def _acceleration(self, env: DrivenTown) -> float:
+        """What the most pressing of leader, stop line, lane change and free road asks for, m/s2."""
+        speed, maximum = env.vehicle.speed, env.action_type.maximum_speed
         gap, leader_speed = env.road.leader_of_ego()
-        acceleration = self._towards(speed, self._desired_speed(env), gap, leader_speed)
+        acceleration = following_acceleration(speed, self._desired_speed(env), gap, leader_speed)
         if not env.road.ego_may_enter():
             line = env.road.ego_stop_line()
-            acceleration = min(acceleration, self._towards(speed, env.action_type.maximum_speed, line, 0.0))
-        return acceleration
+            acceleration = min(acceleration, following_acceleration(speed, maximum, line, 0.0))
+        return min(acceleration, self._for_lane_change(env))
 
-    def _towards(self, speed: float, desired_speed: float, gap: float, leader_speed: float) -> float:
-        """Acceleration of the intelligent driver model, m/s2."""
-        braking = 2.0 * math.sqrt(self.COMFORTABLE_ACCELERATION * self.COMFORTABLE_BRAKING)
-        wanted = self.STANDSTILL_GAP + max(
-            0.0, speed * self.HEADWAY + speed * (speed - leader_speed) / braking
+    def _for_lane_change(self, env: DrivenTown) -> float:
+        """What the traffic on the lane that the route changes to next asks for, m/s2."""
+        change = next_lane_change(env)
+        if change is None:
+            return math.inf
+        speed, maximum = env.vehicle.speed, env.action_type.maximum_speed
+        under_way = change.distance < 0.0
+        is_free = is_safe_behind(change.gap_ahead, speed, change.speed_ahead) and is_safe_behind(
+            change.gap_behind, change.speed_behind, speed
         )
-        share = wanted / max(gap, 0.1)
-        return self.COMFORTABLE_ACCELERATION * (1.0 - (speed / desired_speed) ** 4 - share**2)
+        if under_way or is_free:
+            return following_acceleration(speed, maximum, change.gap_ahead, change.speed_ahead)
+        # Somebody is in the way: the lane is not left before there is a gap.
+        return following_acceleration(speed, maximum, change.distance, 0.0)
 
-    def _desired_speed(self, env: TownEnv) -> float:
+    def _desired_speed(self, env: DrivenTown) -> float:
         """Speed that the bends of the next metres allow, m/s."""
-        route, graph = env.route, env.town.graph
+        route = env.route
         desired = env.action_type.maximum_speed
-        for index in range(route.index, route.lanes.size):
-            distance = max(route.starts[index] - route.position, 0.0)
-            curvature = abs(graph.curvature[route.lanes[index]])
+        for piece, start in zip(route.pieces[route.index :], route.starts[route.index :], strict=False):
+            distance = max(float(start) - route.position, 0.0)
             if distance > 30.0:
                 break
+            curvature = abs(float(piece[CURVATURE]))
             if curvature > 0.0:
                 bend_speed = math.sqrt(self.LATERAL_ACCELERATION / curvature)
                 desired = min(desired, math.sqrt(bend_speed**2 + 2.0 * self.BEND_BRAKING * distance))

@@ -17,11 +17,12 @@ from .following import (
     start_routes,
     waypoints,
 )
-from .search import shortest_route
-from .state import PLAN_ROWS, RouteState, dead_end_distance, environment_route, new_routes
+from .search import plan_length, shortest_route
+from .state import CURVATURE, PLAN_ROWS, RouteState, dead_end_distance, environment_route, new_routes
 from .view import Route
 
 __all__ = [
+    "CURVATURE",
     "KEPT_BEHIND",
     "LANES_AHEAD",
     "PLAN_ROWS",
@@ -36,6 +37,7 @@ __all__ = [
     "heading_of_nearest_waypoint",
     "lanes_ahead",
     "new_routes",
+    "plan_length",
     "route_pose",
     "shortest_route",
     "start_route",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -42,6 +43,16 @@ def shortest_route(graph: LaneGraph, origin: int, destination: int, *, around: b
     while way[-1] != origin:
         way.append(int(before[way[-1]]))
     return np.array(way[::-1], dtype=np.int64)
+
+
+def plan_length(graph: LaneGraph, plan: Integers, start: float, destination: float) -> float:
+    """Metres along a plan from `start` m along its first row to `destination` m along its last."""
+    length = destination - start
+    for row, following in pairwise(plan):
+        # A row that is left for the one beside it goes on there at the same place.
+        if following not in (graph.left[row], graph.right[row]):
+            length += float(graph.length[row])
+    return length
 
 
 @compiled

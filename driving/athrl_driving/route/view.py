@@ -120,6 +120,12 @@ class Route:
         """Heading of the waypoint nearest to the ego along the route, rad."""
         return float(_heading(self.routes, self.environment))
 
+    def place_on_row(self, position: float) -> float:
+        """Metres along the lane graph's row at a position on the route, m; about so while changing lanes."""
+        piece = int(np.searchsorted(self.starts[1:-1], position, side="right"))
+        start = self.pieces[piece, START_POSITION]
+        return float(self.routes.row_start[self.environment, piece] + position - start)
+
     def poses(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """float64 [n, 3]: x, y (m) and heading (rad) at ascending positions on the route, m."""
         return poses_on_route(self.routes.pieces[self.environment], self._count, positions)
