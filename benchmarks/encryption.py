@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from contextlib import nullcontext
+from multiprocessing.queues import Queue
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,7 @@ def chunk() -> Chunk:
     )
 
 
-def upload(address: str, certificates: str | None, name: str, stop: threading.Event, cpu: object) -> None:
+def upload(address: str, certificates: str | None, name: str, stop: threading.Event, cpu: Queue) -> None:
     """Upload until told to stop; the body of an actor's process."""
     made = chunk()
     with (
@@ -71,8 +72,7 @@ def upload(address: str, certificates: str | None, name: str, stop: threading.Ev
         began = time.process_time()
         while not stop.is_set():
             uploader.submit(made, timeout=0.2)
-        cpu.put((time.process_time() - began) / max(1, uploader.statistics().acknowledged))  # type:
-        ignore[attr-defined]
+        cpu.put((time.process_time() - began) / max(1, uploader.statistics().acknowledged))
 
 
 def measure(kind: str, certificates: Path, actors: int, seconds: float) -> tuple[float, float]:
@@ -112,8 +112,8 @@ def measure(kind: str, certificates: Path, actors: int, seconds: float) -> tuple
     return (after.transitions - before.transitions) / elapsed, 1000 * (used / max(1, chunks) + of_actors)
 
 
-def _measure_alone(arguments: tuple[str, Path, int, float], results: object) -> None:
-    results.put(measure(*arguments))  # type: ignore[attr-defined]
+def _measure_alone(arguments: tuple[str, Path, int, float], results: Queue) -> None:
+    results.put(measure(*arguments))
 
 
 def main() -> None:
