@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph, Movements, Signals
+from athrl_driving.traffic.meetings import Meetings
 from athrl_driving.traffic.rails import Rails
 
 PATH_LENGTH = 12
@@ -86,6 +87,10 @@ class RightOfWay(NamedTuple):
     """[N+1] the movement ahead that it holds; -1 none."""
     granted_at: Floats
     """[N+1] s."""
+    turn: Integers
+    """[N+1] the number of the right in `granted`; who has a smaller one waits for nobody with a greater."""
+    crossing_turn: Integers
+    """[N+1] the number of the right with which it crosses."""
     ahead: Integers
     """[N+1] the next movement on its path; -1 where none is near."""
     line_distance: Floats
@@ -96,6 +101,8 @@ class RightOfWay(NamedTuple):
     """[M] vehicles that hold or cross a movement."""
     rearmost: Floats
     """[M] m along the movement to the rear of its last vehicle; minus infinity before that enters."""
+    rearmost_speed: Floats
+    """[M] m/s of its last vehicle."""
     inbound: Integers
     """[K] vehicles that hold a movement to this link and have not arrived on it."""
     claimed: NDArray[np.bool_]
@@ -156,6 +163,8 @@ class Scratch(NamedTuple):
     """[N+1] the leader is before the stop line and holds no right to cross."""
     order: Integers
     """[N+1] the vehicles that ask for a movement, who is served first in front."""
+    turns: Integers
+    """[1] how many rights have been granted."""
     clock: Floats
     """[1] s; it starts anywhere in the signals' cycle."""
 
@@ -167,6 +176,7 @@ class Traffic(NamedTuple):
     movements: Movements
     signals: Signals
     rails: Rails
+    meetings: Meetings
     background: Background
     lane_changes: LaneChanges
     right_of_way: RightOfWay

@@ -53,6 +53,9 @@ def look_ahead(traffic: Traffic, row: int, length: float, speed: float) -> None:
                 if node != NOBODY:
                     leader = node
                     leader_middle = base + scratch.position[node]
+                node, middle = _merged(traffic, link, base, leader_middle, row)
+                if node != NOBODY:
+                    leader, leader_middle = node, middle
             if leader != NOBODY:
                 gap = leader_middle - 0.5 * (length + background.length[leader])
                 leader_speed = background.speed[leader]
@@ -113,6 +116,25 @@ def _parting(traffic: Traffic, movement: int, base: float, nearer_than: float) -
                 break
             node = scratch.following[node]
     return found
+
+
+@part
+def _merged(traffic: Traffic, movement: int, base: float, nearer_than: float, row: int) -> tuple[int, float]:
+    """Return the nearest vehicle ahead on ways that have merged with `movement`, and its distance (m)."""
+    meetings, scratch, lengths = traffic.meetings, traffic.scratch, traffic.background.length
+    found = NOBODY
+    for index in range(meetings.merge_start[movement], meetings.merge_start[movement + 1]):
+        node = scratch.first[meetings.merged[index]]
+        while node != NOBODY:
+            position = scratch.position[node]
+            middle = base + position + meetings.merged_shift[index]
+            if middle >= nearer_than or position - 0.5 * lengths[node] > meetings.merged_until[index]:
+                break
+            if middle > 0.0 and position > meetings.merged_begin[index] and node != row:
+                found, nearer_than = node, middle
+                break
+            node = scratch.following[node]
+    return found, nearer_than
 
 
 @part

@@ -5,7 +5,7 @@ from athrl_driving.maps.lane_graph import LaneGraph
 from athrl_driving.traffic.columns import NOBODY, Background, LaneChanges, Scratch
 from athrl_driving.traffic.rails import Rails
 
-LEFT_BEHIND = 0.27
+LEFT_BEHIND = 0.1
 """Share of a lane change's way sideways from whose rest on the lane left behind is free of the vehicle."""
 
 

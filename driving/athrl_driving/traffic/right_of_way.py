@@ -30,6 +30,13 @@ GIVE_BACK_AFTER = 6.0
 ASK_MARGIN = 15.0
 """Metres before the point where it would have to brake for the line at which a vehicle asks."""
 
+SLOWEST_GOING = 2.0
+"""m/s from which on a vehicle in a junction counts as leaving it."""
+
+FASTEST_COMING = 8.0
+"""m/s with which a vehicle may reach a meeting that others are about to leave."""
+
+_BEYOND_HELP = 1.0
 _FREE, _TAKEN, _EGO = 0, 1, 2
 
 
@@ -63,7 +70,9 @@ def count_holders(traffic: Traffic) -> None:
                 inbound[_exit(traffic, movement)] += 1
             else:
                 rear += rails.length[movement]
-            rearmost[movement] = min(rearmost[movement], rear)
+            if rear < rearmost[movement]:
+                rearmost[movement] = rear
+                right_of_way.rearmost_speed[movement] = traffic.background.speed[row]
 
 
 @part
@@ -105,7 +114,7 @@ def serve(traffic: Traffic) -> None:
         movement = right_of_way.ahead[row]
         waited = scratch.clock[0] - right_of_way.waiting_since[row]
         second = waited < traffic.rails.later[movement]
-        state = _state_of(traffic, movement, row == ego_row)
+        state = _state_of(traffic, row, movement)
         if state != _FREE:
             # Who waits for the ego, which may stand for ever, keeps nobody else from crossing.
             right_of_way.claimed[movement] |= state == _TAKEN and not second
@@ -122,6 +131,8 @@ def serve(traffic: Traffic) -> None:
             continue
         right_of_way.granted[row] = movement
         right_of_way.granted_at[row] = scratch.clock[0]
+        scratch.turns[0] += 1
+        right_of_way.turn[row] = scratch.turns[0]
         right_of_way.waiting_since[row] = math.inf
         right_of_way.holders[movement] += 1
         right_of_way.rearmost[movement] = -math.inf
@@ -151,8 +162,10 @@ def _queue(traffic: Traffic) -> int:
 
 
 @part
-def _state_of(traffic: Traffic, movement: int, for_ego: bool) -> int:
+def _state_of(traffic: Traffic, row: int, movement: int) -> int:
     """Tell whether nobody is in the way of a movement, and nobody who has waited longer would be."""
+    vehicles = traffic.background.lane.shape[0]
+    for_ego = row == vehicles
     movements, right_of_way, blocks = traffic.movements, traffic.right_of_way, traffic.ego_on_links.blocks
     if not for_ego and blocks[movement] > 0:
         return _EGO
@@ -161,10 +174,57 @@ def _state_of(traffic: Traffic, movement: int, for_ego: bool) -> int:
         conflict = movements.conflict[index]
         if right_of_way.claimed[conflict]:
             return _TAKEN
-        if right_of_way.holders[conflict] > 0 and right_of_way.rearmost[conflict] < movements.release[index]:
+        if right_of_way.holders[conflict] > 0 and not _is_gone_in_time(traffic, row, index, conflict):
             return _TAKEN
         by_ego |= not for_ego and blocks[conflict] == 2
     return _EGO if by_ego else _FREE
+
+
+@part
+def _is_gone_in_time(traffic: Traffic, row: int, index: int, conflict: int) -> bool:
+    """Tell whether all who cross on `conflict` will be out of the way when vehicle `row` can come there."""
+    right_of_way, meetings = traffic.right_of_way, traffic.meetings
+    rest = meetings.clear[index] - right_of_way.rearmost[conflict]
+    if rest <= 0.0:
+        return True
+    speed = right_of_way.rearmost_speed[conflict]
+    if rest == math.inf or speed < SLOWEST_GOING or row == traffic.background.lane.shape[0]:
+        return False
+    way = right_of_way.line_distance[row] + meetings.begin[index]
+    return rest / speed <= way / FASTEST_COMING
+
+
+@part
+def way_to_a_meeting(traffic: Traffic, row: int, movement: int, base: float, turn: int) -> float:
+    """Return how far vehicle `row` may drive (m) before it is in the way of who has an earlier turn.
+
+    `base` is the way to the start of its movement, from its centre.
+    """
+    movements, meetings, scratch = traffic.movements, traffic.meetings, traffic.scratch
+    right_of_way, lengths = traffic.right_of_way, traffic.background.length
+    vehicles = lengths.shape[0]
+    way = math.inf
+    for index in range(movements.conflict_start[movement], movements.conflict_start[movement + 1]):
+        conflict = movements.conflict[index]
+        if right_of_way.holders[conflict] == 0:
+            continue
+        to_meeting = base + meetings.begin[index] - 0.5 * lengths[row]
+        if to_meeting < -_BEYOND_HELP or to_meeting > way:
+            continue
+        node = scratch.first[conflict]
+        while node != NOBODY:
+            rear = scratch.position[node] - 0.5 * lengths[node]
+            if rear >= meetings.clear[index]:
+                break
+            if right_of_way.crossing_turn[node] < turn:
+                way = to_meeting
+            node = scratch.following[node]
+        node = scratch.first[_exit(traffic, conflict)]
+        if node != NOBODY and node < vehicles and right_of_way.crossing[node] == conflict:
+            rear = scratch.position[node] - 0.5 * lengths[node] + traffic.rails.length[conflict]
+            if rear < meetings.clear[index] and right_of_way.crossing_turn[node] < turn:
+                way = to_meeting
+    return way
 
 
 @part

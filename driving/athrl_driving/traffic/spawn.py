@@ -64,12 +64,31 @@ def place(traffic: Traffic, seed: np.uint64, x: float, y: float, clearance: floa
 
     `seed` decides everything; none comes within `clearance` metres of `x`, `y` (infinite: of nothing).
     """
-    state = np.full(1, seed, np.uint64)
-    choices = np.arange(traffic.rails.start_link.shape[0])
-    placed = _choose_places(by_reference(traffic), state, choices, x, y, clearance)
+    state, choices = np.full(1, seed, np.uint64), np.empty(traffic.rails.start_link.shape[0], np.int64)
+    return place_with(by_reference(traffic), state, choices, np.empty(0, np.int64), x, y, clearance, ego)
+
+
+@part
+def place_with(
+    traffic: Traffic,
+    state: Seeds,
+    choices: Integers,
+    no_path: Integers,
+    x: float,
+    y: float,
+    clearance: float,
+    ego: Floats,
+) -> int:
+    """Do what `place` does where no arrays can be made: `state` is uint64 [1], the seed.
+
+    `choices` int64 [starting places of `Rails`] is room to work in, `no_path` int64 [0] the ego's path.
+    """
+    for index in range(choices.shape[0]):
+        choices[index] = index
+    placed = _choose_places(traffic, state, choices, x, y, clearance)
     if placed == traffic.background.lane.shape[0]:
-        advance(traffic, ego, np.empty(0, np.int64), 0.0)
-        _choose_speeds(by_reference(traffic), state)
+        advance(traffic, ego, no_path, 0.0)
+        _choose_speeds(traffic, state)
     return placed
 
 
@@ -133,6 +152,7 @@ def _forget(traffic: Traffic, clock: float) -> None:
     changes.asks[:] = False
     changes.wanted_since[:] = math.inf
     traffic.scratch.clock[0] = clock
+    traffic.scratch.turns[0] = 0
 
 
 @part

@@ -16,12 +16,13 @@ from athrl_driving.traffic.columns import (
     Scratch,
     Traffic,
 )
+from athrl_driving.traffic.meetings import Meetings, meetings_of
 from athrl_driving.traffic.rails import Rails, lay_rails
 
 EGO_PATH_LENGTH = 64
 """Links of the ego's path that are looked at."""
 
-_RAILS: dict[int, tuple[Town, Rails]] = {}
+_RAILS: dict[int, tuple[Town, Rails, Meetings]] = {}
 
 __all__ = [
     "EGO_FIELDS",
@@ -47,13 +48,14 @@ def new_traffic(
     """
     if count < 0:
         raise ValueError(f"vehicles_count is {count}, but it must be 0 or more")
-    rails = _rails_of(town)
+    rails, meetings = _rails_of(town)
     links, ways = len(rails.length), len(rails.later)
     return Traffic(
         graph=town.graph,
         movements=town.movements,
         signals=town.signals,
         rails=rails,
+        meetings=meetings,
         background=_new_background((environments, count), length, width),
         lane_changes=_new_lane_changes((environments, count)),
         right_of_way=_new_right_of_way(environments, count, links, ways),
@@ -62,11 +64,11 @@ def new_traffic(
     )
 
 
-def _rails_of(town: Town) -> Rails:
-    """Return the town's rails, made once; the town is kept with them, so that its id stays its own."""
+def _rails_of(town: Town) -> tuple[Rails, Meetings]:
+    """Return what is made once a town; the town is kept with it, so that its id stays its own."""
     if id(town) not in _RAILS:
-        _RAILS[id(town)] = town, lay_rails(town)
-    return _RAILS[id(town)][1]
+        _RAILS[id(town)] = town, lay_rails(town), meetings_of(town)
+    return _RAILS[id(town)][1:]
 
 
 def _new_background(shape: tuple[int, int], length: float, width: float) -> Background:
@@ -107,11 +109,14 @@ def _new_right_of_way(environments: int, count: int, links: int, ways: int) -> R
         crossing=np.full(rows, NOBODY),
         granted=np.full(rows, NOBODY),
         granted_at=np.zeros(rows),
+        turn=np.zeros(rows, np.int64),
+        crossing_turn=np.zeros(rows, np.int64),
         ahead=np.full(rows, NOBODY),
         line_distance=np.full(rows, np.inf),
         waiting_since=np.full(rows, np.inf),
         holders=np.zeros((environments, ways), np.int64),
         rearmost=np.full((environments, ways), np.inf),
+        rearmost_speed=np.zeros((environments, ways)),
         inbound=np.zeros((environments, links), np.int64),
         claimed=np.zeros((environments, ways), np.bool_),
     )
@@ -146,6 +151,7 @@ def _new_scratch(environments: int, count: int, links: int) -> Scratch:
         side_speed=np.zeros((environments, count)),
         held_up=np.zeros(rows, np.bool_),
         order=np.zeros(rows, np.int64),
+        turns=np.zeros((environments, 1), np.int64),
         clock=np.zeros((environments, 1)),
     )
 
@@ -171,6 +177,7 @@ def environment_traffic(traffic: Traffic, e: int) -> Traffic:
         traffic.movements,
         traffic.signals,
         traffic.rails,
+        traffic.meetings,
         Background(
             background.x[e],
             background.y[e],
@@ -201,11 +208,14 @@ def environment_traffic(traffic: Traffic, e: int) -> Traffic:
             right_of_way.crossing[e],
             right_of_way.granted[e],
             right_of_way.granted_at[e],
+            right_of_way.turn[e],
+            right_of_way.crossing_turn[e],
             right_of_way.ahead[e],
             right_of_way.line_distance[e],
             right_of_way.waiting_since[e],
             right_of_way.holders[e],
             right_of_way.rearmost[e],
+            right_of_way.rearmost_speed[e],
             right_of_way.inbound[e],
             right_of_way.claimed[e],
         ),
@@ -233,6 +243,7 @@ def environment_traffic(traffic: Traffic, e: int) -> Traffic:
             scratch.side_speed[e],
             scratch.held_up[e],
             scratch.order[e],
+            scratch.turns[e],
             scratch.clock[e],
         ),
     )

@@ -23,11 +23,14 @@ from athrl_driving.traffic.leaders import look_ahead, look_beside
 from athrl_driving.traffic.nodes import sort_onto_links
 from athrl_driving.traffic.paths import drop_first
 from athrl_driving.traffic.rails import CURVE_BRAKING
-from athrl_driving.traffic.right_of_way import ask, count_holders, serve
+from athrl_driving.traffic.right_of_way import ask, count_holders, serve, way_to_a_meeting
 from athrl_driving.traffic.state import environment_traffic
 
 LINE_MARGIN = 0.5
 """Metres between a waiting vehicle's front and the stop line."""
+
+MEETING_MARGIN = 0.3
+"""Metres kept to where the way of somebody who goes first begins."""
 
 _LEAST_GAP = 1.0
 
@@ -106,6 +109,7 @@ def _accelerate(traffic: Traffic, dt: float) -> None:
         if ahead != NOBODY and right_of_way.granted[row] != ahead:
             line = right_of_way.line_distance[row] - LINE_MARGIN - speed * dt
             allowed = min(allowed, approach_speed(line, 0.0, CURVE_BRAKING, dt))
+        allowed = min(allowed, _allowed_at_meetings(traffic, row, speed, dt))
         if background.crashed[row]:
             allowed = 0.0
         allowed = min(allowed, _allowed_by_the_road(traffic, row, lane, speed, dt))
@@ -121,6 +125,24 @@ def _allowed_behind(gap: float, leader_speed: float, speed: float, dt: float) ->
     if gap == math.inf:
         return math.inf
     return approach_speed(gap - _LEAST_GAP - speed * dt, max(leader_speed, 0.0), LARGEST_ACCELERATION, dt)
+
+
+@part
+def _allowed_at_meetings(traffic: Traffic, row: int, speed: float, dt: float) -> float:
+    """Return the greatest next speed for the meetings with others whose turn is before the vehicle's."""
+    right_of_way, scratch = traffic.right_of_way, traffic.scratch
+    way = math.inf
+    movement = right_of_way.granted[row]
+    if movement != NOBODY:
+        base = right_of_way.line_distance[row] + 0.5 * traffic.background.length[row]
+        way = way_to_a_meeting(traffic, row, movement, base, right_of_way.turn[row])
+    movement = scratch.link[row]
+    if movement < traffic.rails.later.shape[0]:
+        turn = right_of_way.crossing_turn[row]
+        way = min(way, way_to_a_meeting(traffic, row, movement, -scratch.position[row], turn))
+    if way == math.inf:
+        return math.inf
+    return approach_speed(way - MEETING_MARGIN - speed * dt, 0.0, LARGEST_ACCELERATION, dt)
 
 
 @part
@@ -176,6 +198,7 @@ def _move(traffic: Traffic, dt: float) -> None:
             lane = rails.rows[rails.row_start[link]]
             if link < rails.later.shape[0]:
                 right_of_way.crossing[row] = link
+                right_of_way.crossing_turn[row] = right_of_way.turn[row]
                 right_of_way.granted[row] = NOBODY
         link = rails.link[lane]
         if link >= rails.later.shape[0] and rails.link_offset[lane] + s > 0.5 * background.length[row]:
