@@ -16,7 +16,8 @@ _COLUMNS = (
     ("m", "distance_m", "{:.0f}"),
     ("collisions", "collision_rate", "{:.0%}"),
     ("off lane", "off_lane_rate", "{:.0%}"),
-    ("full episodes", "full_episode_rate", "{:.0%}"),
+    ("full", "full_episode_rate", "{:.0%}"),
+    ("score", "driving_score", "{:.2f}"),
 )
 
 
@@ -39,7 +40,8 @@ def comparison_table(comparison: dict[str, Any]) -> Table:
     """Return a table with a row a driver; the return is shown with its 95 % interval."""
     drivers: dict[str, dict[str, float]] = comparison["drivers"]
     episodes = int(drivers["policy"]["episodes"])
-    table = Table(title=f"policy {comparison['policy_version']} and others, {episodes} episodes each, ± 95 %")
+    title = f"policy {comparison['policy_version']} and others, {episodes} episodes each, ± 95 %"
+    table = Table(title=title, pad_edge=False)  # fits a terminal of 80 columns
     table.add_column("driver")
     table.add_column("return", justify="right")
     for title, _, _ in _COLUMNS:
