@@ -60,6 +60,17 @@ def test_only_the_authoritys_certificates_get_in(
     eventually(lambda: "connected with the certificate 'viewer'" in command.said(learner_process), SECONDS)
 
 
+def test_each_container_can_ask_whether_it_takes_part_with_its_own_certificate(
+    command, learner_process, port: int, ours: Path
+) -> None:
+    address = ["--connect", f"127.0.0.1:{port}"]
+    for role in ("learner", "actor", "evaluator"):
+        asked = ["status", *address, "--check", "learner", "--certificates", str(ours / role)]
+        result = command.run(*asked, seconds=SECONDS)
+        assert result.returncode == 0, result.stderr
+    assert "not allowed" not in command.said(learner_process)
+
+
 def test_denied_deed_is_in_the_learners_log(
     command, learner_process, port: int, ours: Path, eventually
 ) -> None:
