@@ -175,7 +175,8 @@ class LearnerSection(Section):
     deadlock_seconds: float = Field(
         default=60.0,
         gt=0,
-        description="Seconds that actors and learner may wait for each other before the run ends in an error.",
+        description="Seconds that actors and learner may wait for each other "
+        "before the run ends in an error.",
     )
     threads: int = Field(default=1, ge=1, le=256, description="Threads that train.")
     device: Literal["cpu", "cuda"] = Field(default="cpu", description="Where training happens.")
