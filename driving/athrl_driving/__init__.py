@@ -53,23 +53,26 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(f".{_MODULE_OF_NAME[name]}", __name__), name)
 
 
-_MAP_OF_ID: dict[str, str | None] = {
-    "athrl/Town02-v0": "town02",
-    "athrl/Town03-v0": "town03",
-    "athrl/Town04-v0": "town04",
-    "athrl/OpenDrive-v0": None,  # the user names it
+_ARGUMENTS_OF_ID: dict[str, dict[str, str]] = {
+    "athrl/Town02-v0": {"map": "town02"},
+    "athrl/Town03-v0": {"map": "town03"},
+    "athrl/Town04-v0": {"map": "town04"},
+    "athrl/OpenDrive-v0": {"map": ""},  # for the user to name
+    "athrl/Roundabout-v0": {"scenario": "athrl/Roundabout-v0"},
+    "athrl/OncomingTraffic-v0": {"scenario": "athrl/OncomingTraffic-v0"},
+    "athrl/UnprotectedLeft-v0": {"scenario": "athrl/UnprotectedLeft-v0"},
 }
 
 
 def _register_environments() -> None:
     """Register what is not registered yet; a second import, as by `package:id`, is no error."""
-    for name, town in _MAP_OF_ID.items():
+    for name, arguments in _ARGUMENTS_OF_ID.items():
         if name not in registry:
             register(
                 id=name,
                 entry_point="athrl_driving.envs:TownEnv",
                 vector_entry_point="athrl_driving.envs:TownVectorEnv",
-                kwargs={} if town is None else {"map": town},
+                kwargs=arguments,
             )
 
 

@@ -63,7 +63,9 @@ def part(function: Function) -> Function:
     References to arrays are not counted, which costs more than what is done with the arrays, so it makes no
     arrays and returns none. State of many arrays it takes by reference (`traffic.by_reference`).
     """
-    return numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, _nrt=False)(function)
+    return numba.njit(
+        nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
+    )(function)
 
 
 def announce_compilation(kernel: Callable[..., Any], seconds: int) -> None:

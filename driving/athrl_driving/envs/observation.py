@@ -9,7 +9,7 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from numpy.typing import NDArray
 
-from ..episode.observe import MOTION_LIMIT
+from ..episode.motion import MOTION_LIMIT
 from ..perception import CHANNELS
 
 if TYPE_CHECKING:

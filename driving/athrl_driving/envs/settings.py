@@ -8,14 +8,24 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..episode import DriveSettings, Episodes
+from ..episode.starts import RANDOM, Journeys, place_on_map
 from ..maps import Town, load_town
+from ..perception import EGO_ABOVE_LOWER_EDGE, LIDAR_RANGE, RAYS, WINDOW_SIDE, new_perception
+from ..scenarios import SCENARIOS
 
 DEFAULTS: dict[str, Any] = {
     "observation": {"type": "BirdEyeObservation"},
     "action": {"type": "WaypointAction"},
     "town": "town03",  # name of a town, or path of an OpenDRIVE file
+    "start": None,  # (road name, lane id, [m] along it); a random place without one
+    "destination": None,  # such a place, "random", or random turns without one
     "vehicles_count": 100,  # background vehicles
+    "traffic_near": None,  # (x, y, radius) [m] where they start; anywhere without it
     "image_size": 32,  # [px] height and width of the observation's image
+    "window_side": WINDOW_SIDE,  # [m] of the square that the image shows
+    "ego_above_lower_edge": EGO_ABOVE_LOWER_EDGE,  # [m] where the ego is in it
+    "lidar_range": LIDAR_RANGE,  # [m]
+    "lidar_rays": RAYS,
     "episode_ticks": 500,
     "ticks_per_decision": 4,
     "simulation_frequency": 10,  # [Hz]
@@ -29,6 +39,8 @@ DEFAULTS: dict[str, Any] = {
 }
 """What an environment adds to highway-env's own settings, or has other defaults for."""
 
+_PERCEPTION_SETTINGS = ("window_side", "ego_above_lower_edge", "lidar_range", "lidar_rays")
+
 _BOUNDS: dict[str, tuple[type, float, float]] = {
     "vehicles_count": (int, 0, 10_000),
     "image_size": (int, 8, 512),
@@ -41,6 +53,18 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
 }
 
 
+def first_settings(defaults: Mapping[str, Any], scenario: str | None) -> dict[str, Any]:
+    """The defaults of an environment, or of the case study with the id `scenario`.
+
+    Raises ValueError in one line for a case study that there is not.
+    """
+    if scenario is None:
+        return dict(defaults)
+    if scenario not in SCENARIOS:
+        raise ValueError(f"there is no case study {scenario!r}, there are {', '.join(SCENARIOS)}")
+    return {**defaults, **SCENARIOS[scenario]}
+
+
 def changed_settings(
     present: Mapping[str, Any], changes: Mapping[str, Any] | None, map_name: str | None
 ) -> dict[str, Any]:
@@ -49,6 +73,8 @@ def changed_settings(
     Raises ValueError, in one line, for a key that does not exist or a value that cannot be.
     """
     given = dict(changes or {})
+    if map_name == "":
+        raise ValueError("no map was named: give map='PATH.xodr', an OpenDRIVE file, or the name of a town")
     if map_name is not None and given.setdefault("town", map_name) != map_name:
         raise ValueError(f"the environment is of {map_name}, but its setting town is {given['town']!r}")
     for key in given:
@@ -70,9 +96,40 @@ def _check(settings: Mapping[str, Any]) -> None:
         if isinstance(value, bool) or not isinstance(value, accepted) or not low <= value <= high:
             noun = "a whole number" if kind is int else "a number"
             raise ValueError(f"the setting {key} is {value!r}, it should be {noun} from {low:g} to {high:g}")
+    for key in ("start", "destination"):
+        if settings[key] is not None and not _is_place(settings[key], key == "destination"):
+            choice = ', "random"' if key == "destination" else ""
+            raise ValueError(
+                f"the setting {key} is {settings[key]!r}, "
+                f"it should be None{choice} or (road name, lane id, metres along it)"
+            )
+    near = settings["traffic_near"]
+    if near is not None and not (_are_numbers(near) and len(near) == 3 and near[2] > 0):
+        raise ValueError(
+            f"the setting traffic_near is {near!r}, it should be None or (x, y, radius) in metres"
+        )
     for key, expected in (("observation", "BirdEyeObservation"), ("action", "WaypointAction")):
         if settings[key] != {"type": expected}:
             raise ValueError(f"the setting {key} is {settings[key]!r}, it should be {{'type': {expected!r}}}")
+
+
+def _is_place(value: Any, may_be_random: bool) -> bool:
+    if value == RANDOM:
+        return may_be_random
+    return (
+        isinstance(value, (tuple, list))
+        and len(value) == 3
+        and isinstance(value[0], str)
+        and isinstance(value[1], int)
+        and _are_numbers(value[1:])
+    )
+
+
+def _are_numbers(values: Any) -> bool:
+    return isinstance(values, (tuple, list)) and all(
+        isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        for value in values
+    )
 
 
 def town_of(config: Mapping[str, Any]) -> Town:
@@ -93,12 +150,24 @@ def drive_settings(config: Mapping[str, Any]) -> DriveSettings:
 
 
 def new_episodes(config: Mapping[str, Any], town: Town, environments: int, threads: int = 1) -> Episodes:
-    """Room for the episodes of `environments` environments with these settings."""
+    """Room for the episodes of `environments` environments with these settings.
+
+    Raises ValueError in one line for a place that the map does not have.
+    """
+    drive, destination = drive_settings(config), config["destination"]
     return Episodes(
         town,
-        drive_settings(config),
+        drive,
+        new_perception(town, **{name: config[name] for name in _PERCEPTION_SETTINGS}),
         environments,
+        Journeys(
+            town,
+            drive.episode_ticks * drive.interval,
+            None if config["start"] is None else place_on_map(town, config["start"]),
+            destination if destination in (None, RANDOM) else place_on_map(town, destination),
+        ),
         vehicles=int(config["vehicles_count"]),
         image_size=int(config["image_size"]),
+        traffic_near=config["traffic_near"],
         threads=threads,
     )

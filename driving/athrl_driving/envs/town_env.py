@@ -17,15 +17,19 @@ from ..scene import Scene
 from .action import WaypointAction
 from .observation import BirdEyeObservation
 from .row import TownRow
-from .settings import DEFAULTS, changed_settings, new_episodes, town_of
+from .settings import DEFAULTS, changed_settings, first_settings, new_episodes, town_of
+
+_ONLY = np.zeros(1, np.int64)
 
 
 class TownEnv(AbstractEnv):
     """The paper's task: an episode ends at the tick of a collision or of leaving the lane, or after 500.
 
-    `map` is a town's name or the path of an OpenDRIVE file (.xodr) and stands for the setting `town`.
+    `map` is a town's name or the path of an OpenDRIVE file (.xodr) and stands for the setting `town`;
+    `scenario` is the id of a case study, whose settings are then the defaults.
     """
 
+    config: dict[str, Any]
     enable_auto_render: bool
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 5}
 
@@ -34,10 +38,10 @@ class TownEnv(AbstractEnv):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         map: str | None = None,
+        scenario: str | None = None,
     ) -> None:
         self._map = map
-        self._actions = np.zeros((1, 2), np.float32)
-        self._work = np.zeros(1, np.int64)
+        self._scenario = scenario
         super().__init__(config, render_mode)
 
     @classmethod
@@ -47,6 +51,9 @@ class TownEnv(AbstractEnv):
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Take settings; raises ValueError that names a key that does not exist or a value that cannot be."""
+        if self._scenario is not None:
+            self.config = first_settings(self.config, self._scenario)
+            self._scenario = None
         super().configure(changed_settings(self.config, config, self._map))
         self.town: Town = town_of(self.config)
         self._episodes: Episodes | None = None
@@ -80,34 +87,30 @@ class TownEnv(AbstractEnv):
         return int(self.episodes.state.progress.decisions[0])
 
     def _reset(self) -> None:
-        self.episodes.begin(0, self.np_random)
+        self.episodes.begin(_ONLY, [self.np_random])
         self._row = TownRow(self.episodes, 0, self.config)
         self.road = self._row.road
         self.controlled_vehicles = [self._row.vehicle]
-        self._do(SEE)
 
-    def _do(self, work: int) -> None:
-        self._work[0] = work
-        self.episodes.work(self._actions, self._work)
+    def _do(self, work: int, action: NDArray[np.floating] | None = None) -> None:
+        actions = None if action is None else np.asarray(action, np.float32)[None]
+        self.episodes.work(work, actions)
         self.steps = int(self.episodes.state.progress.ticks[0])
         self.time = self.steps / self.config["simulation_frequency"]
 
     def _simulate(self, action: NDArray[np.floating] | None = None) -> None:
         """Let a decision hold for its ticks or until the episode ends; without one the last one holds on."""
-        begin = BEGIN
-        if action is not None:
-            self._actions[0] = action
-            begin += TAKE
+        begin = BEGIN if action is None else BEGIN + TAKE
         self.road.hand_over_objects()
         if self.viewer is None or not self.enable_auto_render:
-            self._do(begin + DRIVE + SEE)
+            self._do(begin + DRIVE + SEE, action)
         else:
-            self._simulate_and_render(begin)
+            self._simulate_and_render(begin, action)
         self.enable_auto_render = False
 
-    def _simulate_and_render(self, begin: int) -> None:
+    def _simulate_and_render(self, begin: int, action: NDArray[np.floating] | None) -> None:
         """Draw every tick of the decision: what `render` shows is then as smooth as the simulation."""
-        self._do(begin)
+        self._do(begin, action)
         for tick in range(self.config["ticks_per_decision"]):
             if tick:
                 self._automatic_rendering()

@@ -18,7 +18,7 @@ from ..scene import Scene
 from .action import WaypointAction
 from .observation import observation_space
 from .row import TownRow
-from .settings import changed_settings, new_episodes, town_of
+from .settings import changed_settings, first_settings, new_episodes, town_of
 from .town_env import TownEnv
 
 Observations = dict[str, NDArray]
@@ -27,10 +27,10 @@ Observations = dict[str, NDArray]
 class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     """`num_envs` towns, each of which does exactly what a `TownEnv` with its seed and its actions would do.
 
-    `config` and `map` are those of `TownEnv`; the settings are fixed when it is made. `threads` is how many
-    work at a step, as many as there are cores by default. `autoreset_mode` is gymnasium's: an episode that
-    has ended begins anew at the next step (NEXT_STEP), within the same step (SAME_STEP), or when `reset` is
-    called with `options={"reset_mask": bool [num_envs]}` (DISABLED).
+    `config`, `map` and `scenario` are those of `TownEnv`; the settings are fixed when it is made. `threads`
+    is how many work at a step, as many as there are cores by default. `autoreset_mode` is gymnasium's: an
+    episode that has ended begins anew at the next step (NEXT_STEP), within the same step (SAME_STEP), or when
+    `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED).
     """
 
     def __init__(
@@ -39,6 +39,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         config: Mapping[str, Any] | None = None,
         render_mode: None = None,
         map: str | None = None,
+        scenario: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
     ) -> None:
@@ -51,7 +52,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
-        self.config = changed_settings(TownEnv.default_config(), config, map)
+        self.config = changed_settings(first_settings(TownEnv.default_config(), scenario), config, map)
         self.town = town_of(self.config)
         cores = len(os.sched_getaffinity(0))
         self.episodes = new_episodes(self.config, self.town, num_envs, threads or cores)
@@ -63,7 +64,6 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._ended = np.zeros(num_envs, np.bool_)
         self._begun = np.zeros(num_envs, np.bool_)
-        self._work = np.zeros(num_envs, np.int64)
 
     def reset(
         self,
@@ -114,6 +114,22 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         rewards, terminated, truncated = self._results()
         return rewards * rows, terminated & rows, truncated & rows, self._infos(rows)
 
+    def reset_row(self, e: int, seed: int | None = None) -> None:
+        """Begin a new episode in environment `e` alone."""
+        if seed is not None:
+            self._generators[e] = seeding.np_random(seed)[0]
+        self._begin(np.arange(self.num_envs) == e)
+
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """uint8 [num_envs, S, S, 4]: what was last seen; it changes with every step."""
+        return self.episodes.state.progress.images
+
+    @property
+    def motion(self) -> NDArray[np.float32]:
+        """float32 [num_envs, 2] that goes with `images`."""
+        return self.episodes.state.progress.motion
+
     def row(self, e: int) -> TownRow:
         """Environment `e` as an object, for drivers and viewers."""
         return self._rows[e]
@@ -157,16 +173,13 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
             missing = np.flatnonzero(rows & ~self._begun).tolist()
             if missing:
                 raise ResetNeeded(f"no episode has begun in environments {missing}: call reset before step")
-        np.multiply(rows, DECIDE, out=self._work)
-        self.episodes.work(actions, self._work)
+        self.episodes.work(rows * DECIDE, actions)
         state = self.episodes.state.progress
         np.logical_or(state.terminated, state.truncated, out=self._ended)
 
     def _begin(self, rows: NDArray[np.bool_]) -> None:
         chosen = np.flatnonzero(rows)
-        for e in chosen.tolist():
-            self.episodes.begin(e, self._generator(e))
-        self.episodes.see(chosen)
+        self.episodes.begin(chosen, [self._generator(e) for e in chosen.tolist()])
         self._begun[rows] = True
         self._ended[rows] = False
 

@@ -1,48 +1,51 @@
-"""How an episode begins, compiled: all but its traffic."""
+"""How an episode begins, compiled."""
 
-import numpy as np
-
-from ..compilation import compiled
+from ..compilation import part
 from ..maps.geometry import lane_elevation, lane_pose
-from ..maps.lane_graph import Integers, LaneGraph
-from ..metrics import COMPLETION_SPEED, NO_COLLISION, MetricsState, environment_metrics, reset_metrics
-from ..route import RouteState, environment_route, lanes_ahead, start_route
-from .drive import clear_decision
-from .ego import place_ego
-from .state import DriveSettings, Progress
+from ..metrics import NO_COLLISION, reset_metrics
+from ..route import lanes_ahead, start_route
+from ..traffic.spawn import place_with
+from .ego import X, Y, place_ego
+from .orders import Orders
+from .state import Progress, Views
+
+CLEARANCE = 8.0
+"""No vehicle's centre is within this distance (m) of the ego's when an episode begins."""
 
 
-@compiled
-def begin(
-    settings: DriveSettings,
-    graph: LaneGraph,
-    routes: RouteState,
-    metrics: MetricsState,
-    progress: Progress,
-    e: int,
-    row: int,
-    s: float,
-    seed: np.uint64,
-    plan: Integers,
-    destination_s: float,
-) -> None:
-    """Begin an episode in environment `e`: the ego stands `s` metres along a row of the graph.
-
-    The first arguments are fields of `EpisodeState`; `seed`, `plan` and `destination_s` are those of
-    `start_route`.
-    """
-    route = environment_route(routes, e)
-    start_route(graph, route, row, s, seed, plan, destination_s)
+@part
+def begin(views: Views, progress: Progress, orders: Orders, e: int) -> None:
+    """Begin an episode in environment `e`, whose own traffic, route and metrics are in `views`."""
+    graph, route, start = views.traffic.graph, views.route, orders.starts[e]
+    row, s, seeds = int(start[0]), start[1], orders.seeds[e]
+    start_route(graph, route, row, s, seeds[0], orders.plans[e, : orders.plan_rows[e]], start[2])
     x, y, heading = lane_pose(graph, row, s)
     place_ego(progress.ego[e], progress.control[e], x, y, heading, lane_elevation(graph, row, s))
     lanes_ahead(graph, route, progress.path[e])
+    _clear_episode(progress, e)
+    reset_metrics(views.metrics, 0.0, heading, start[3])
+    ego, no_path = progress.ego[e], progress.path[e, :0]
+    orders.placed[e] = place_with(
+        views.traffic, seeds[1:], orders.choices[e], no_path, ego[X], ego[Y], CLEARANCE, ego
+    )
+
+
+@part
+def _clear_episode(progress: Progress, e: int) -> None:
+    """Forget the last episode."""
     progress.obstacle_count[e] = 0
     progress.collision[e] = NO_COLLISION
-    for flags in (progress.off_lane, progress.arrived, progress.terminated, progress.truncated):
-        flags[e] = False
-    for count in (progress.ticks, progress.decisions):
-        count[e] = 0
+    progress.off_lane[e] = progress.arrived[e] = False
+    progress.terminated[e] = progress.truncated[e] = False
+    progress.ticks[e] = progress.decisions[e] = 0
     progress.distance[e] = 0.0
     clear_decision(progress, e)
-    goal = COMPLETION_SPEED * settings.episode_ticks * settings.interval
-    reset_metrics(environment_metrics(metrics, e), 0.0, heading, goal)
+
+
+@part
+def clear_decision(progress: Progress, e: int) -> None:
+    """Let the sums over a decision's ticks begin at nothing."""
+    progress.decision_ticks[e] = 0
+    progress.reward[e] = progress.speed[e] = 0.0
+    for term in range(progress.terms.shape[1]):
+        progress.terms[e, term] = 0.0

@@ -5,22 +5,19 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled, inlined
+from ..compilation import compiled, part
 from ..maps.lane_graph import Floats
 from ..metrics import MetricsState, environment_metrics
+from ..perception import Perception, draw_surroundings
 from ..route import RouteState, environment_route
+from ..traffic.by_reference import by_reference
 from ..traffic.state import Traffic, environment_traffic
+from .beginning import begin, clear_decision
 from .ego import HEADING, TARGET_SPEED, WAYPOINT_X, WAYPOINT_Y, X, Y
-from .observe import observe
-from .state import DriveSettings, Progress, View
+from .motion import note_motion
+from .orders import BEGIN, DRIVE, SEE, START, TAKE, TICK, Orders
+from .state import DriveSettings, EpisodeState, Progress, Views
 from .tick import tick
-
-BEGIN, TAKE, TICK, DRIVE, SEE = 1, 2, 4, 8, 16
-"""What is to be done for an environment, to be added up: begin a decision; take its action; drive one tick;
-drive all its ticks or until the episode ends; draw the observation."""
-
-DECIDE = BEGIN + TAKE + DRIVE + SEE
-"""A whole decision."""
 
 
 @compiled
@@ -29,49 +26,70 @@ def drive(
     traffic: Traffic,
     routes: RouteState,
     metrics: MetricsState,
-    perception: View,
+    perception: Perception,
     progress: Progress,
-    actions: NDArray[np.float32],
-    work: NDArray[np.int64],
+    orders: Orders,
     first: int,
     last: int,
 ) -> None:
-    """Do the `work` int64 [E] of the environments `first` to `last` - 1 with `actions` float32 [E, 2].
+    """Do the work that `orders` have for the environments `first` to `last` - 1.
 
-    The first arguments are the fields of `EpisodeState`. No environment touches what belongs to another, so
+    The other arguments are the fields of `EpisodeState`. No environment touches what belongs to another, so
     calls on different ones may run at the same time.
     """
+    state = EpisodeState(settings, traffic, routes, metrics, perception, progress)
+    _drive_rows(by_reference(state), by_reference(orders), first, last)
+
+
+@part
+def _drive_rows(state: EpisodeState, orders: Orders, first: int, last: int) -> None:
+    progress = state.progress
     for e in range(first, last):
-        if work[e] == 0:
+        work = orders.work[e]
+        if work == 0:
             continue
-        around, route = environment_traffic(traffic, e), environment_route(routes, e)
-        if work[e] & BEGIN:
-            clear_decision(progress, e)
-            progress.decisions[e] += 1
-        if work[e] & TAKE:
-            take_decision(settings, progress.ego[e], progress.control[e], actions[e])
-        if work[e] & (TICK + DRIVE):
-            counts = environment_metrics(metrics, e)
-            ticks = settings.ticks_per_decision if work[e] & DRIVE else 1
-            for _ in range(ticks):
-                tick(settings, around, route, counts, progress, e)
-                if progress.terminated[e] or progress.truncated[e]:
-                    break
-        if work[e] & SEE:
-            observe(perception, around.graph, around.background, route, progress, e)
+        own = Views(
+            environment_traffic(state.traffic, e),
+            environment_route(state.routes, e),
+            environment_metrics(state.metrics, e),
+        )
+        views = by_reference(own)
+        if work & START:
+            begin(views, progress, orders, e)
+        _decide(views, state.settings, progress, orders, e)
+        if work & SEE:
+            ego, image = progress.ego[e], progress.images[e]
+            draw_surroundings(state.perception, views.traffic, views.route, ego, image, progress.lidar[e])
+            note_motion(ego, progress.control[e], progress.motion[e])
 
 
-@inlined
-def clear_decision(progress: Progress, e: int) -> None:
-    """Let the sums over a decision's ticks begin at nothing."""
-    progress.decision_ticks[e] = 0
-    progress.reward[e] = progress.speed[e] = 0.0
-    for term in range(progress.terms.shape[1]):
-        progress.terms[e, term] = 0.0
+@part
+def _decide(views: Views, settings: DriveSettings, progress: Progress, orders: Orders, e: int) -> None:
+    """Do what the orders say of a decision."""
+    work = orders.work[e]
+    if work & BEGIN:
+        clear_decision(progress, e)
+        progress.decisions[e] += 1
+    if work & TAKE:
+        place_waypoint(settings, progress.ego[e], progress.control[e], orders.actions[e])
+    if work & (TICK + DRIVE):
+        ticks = settings.ticks_per_decision if work & DRIVE else 1
+        for _ in range(ticks):
+            tick(views, settings, progress, e)
+            if progress.terminated[e] or progress.truncated[e]:
+                break
 
 
 @compiled
 def take_decision(settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[np.float32]) -> None:
+    """Let Python call `place_waypoint`."""
+    place_waypoint(settings, ego, control, action)
+
+
+@part
+def place_waypoint(
+    settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[np.float32]
+) -> None:
     """Turn a normalised action (clipped to [-1, 1]) into a target speed and a waypoint in the world."""
     speed = min(max(float(action[0]), -1.0), 1.0)
     angle = min(max(float(action[1]), -1.0), 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
@@ -13,25 +13,18 @@ from numpy.typing import NDArray
 from ..compilation import announce_compilation
 from ..maps import Town
 from ..metrics import summary
+from ..perception import Perception
 from ..reward import REWARD_TERMS
-from ..route import dead_end_distance
-from ..traffic.spawn import place_vehicles
-from .beginning import begin
-from .drive import SEE, drive
-from .ego import EGO_LENGTH, X, Y
+from ..scenarios import places_near
+from .drive import drive
+from .orders import SEE, START, new_orders
+from .starts import Journeys
 from .state import DriveSettings, EpisodeState, new_state
-
-CLEARANCE = 8.0
-"""No vehicle's centre is within this distance (m) of the ego's when an episode begins."""
-
-ROOM_BEFORE_DEAD_END = 70.0
-"""Metres before the end of a lane that the ego needs for changing to another one."""
 
 ROWS_PER_THREAD = 4
 """Environments below which another thread costs more than it brings."""
 
 _COMPILE_SECONDS = 30
-_RANDOM_TURNS = np.empty(0, dtype=np.int64)
 
 
 class Episodes:
@@ -39,72 +32,84 @@ class Episodes:
 
     What happens in an environment depends on its seed and its actions alone: not on the others, on how many
     there are or on the number of threads.
+
+    `traffic_near` (x, y, radius, m) is where vehicles may start, anywhere without it.
     """
 
     def __init__(
         self,
         town: Town,
         settings: DriveSettings,
+        perception: Perception,
         environments: int,
+        journeys: Journeys,
         *,
         vehicles: int,
         image_size: int,
+        traffic_near: tuple[float, float, float] | None = None,
         threads: int = 1,
     ) -> None:
         announce_compilation(drive, _COMPILE_SECONDS)
         self.town = town
-        self.state: EpisodeState = new_state(town, settings, environments, vehicles, image_size)
-        self._everything = np.empty(environments, np.int64)
-        self._no_actions = np.zeros((environments, 2), np.float32)
-        self._starts = _Starts(town)
+        self.state: EpisodeState = new_state(
+            town, settings, perception, environments, vehicles=vehicles, image_size=image_size
+        )
+        if traffic_near is not None:
+            self.state = self.state._replace(traffic=places_near(self.state.traffic, *traffic_near))
+        self._orders = new_orders(environments, self.state.traffic.rails.start_link.size)
+        self._journeys = journeys
         threads = max(1, min(threads, environments // ROWS_PER_THREAD))
         edges = [environments * chunk // threads for chunk in range(threads + 1)]
         self._chunks = list(itertools.pairwise(edges))
         self._pool = ThreadPoolExecutor(threads - 1, "athrl-drive") if threads > 1 else None
 
     def __len__(self) -> int:
-        return self._everything.size
+        return self._orders.work.size
 
     def close(self) -> None:
         """End the threads."""
         if self._pool is not None:
             self._pool.shutdown()
 
-    def begin(self, e: int, generator: np.random.Generator) -> None:
-        """Begin an episode in environment `e`; what is drawn comes from `generator` alone.
+    def begin(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
+        """Begin episodes in the environments `rows` and see them; each draws from its own generator alone.
 
-        The observation is drawn by the next work that has SEE. Raises ValueError where the town has no room
-        for the vehicles.
+        Raises ValueError where the town has no room for the vehicles, or no way leads to the destination.
         """
-        place = generator.random()
-        # Seeds for each part, so that the ego's route does not depend on how much traffic there is.
-        route_seed, traffic_seed = generator.integers(2**63, size=2, dtype=np.uint64)
-        row, s = self._starts.at(place)
-        state = self.state
-        parts = state.settings, state.traffic.graph, state.routes, state.metrics, state.progress
-        begin(*parts, e, row, s, route_seed, _RANDOM_TURNS, 0.0)
-        ego = state.progress.ego[e]
-        place_vehicles(
-            state.traffic, e, np.random.default_rng(traffic_seed), (ego[X], ego[Y]), CLEARANCE, ego
-        )
+        orders = self._orders
+        orders.work[:] = 0
+        orders.work[rows] = START + SEE
+        for e, generator in zip(rows.tolist(), generators, strict=True):
+            journey = self._journeys.draw(generator)
+            orders.starts[e] = journey.start
+            orders.plan_rows[e] = journey.plan.size
+            orders.plans[e, : journey.plan.size] = journey.plan
+            # One seed each, so that the ego's route does not depend on how much traffic there is.
+            orders.seeds[e] = generator.integers(2**63, size=2, dtype=np.uint64)
+        self._do()
+        vehicles, placed = self.state.traffic.background.lane.shape[1], orders.placed[rows].min(initial=10**9)
+        if placed < vehicles:
+            raise ValueError(f"vehicles_count is {vehicles}, but the town has room for {placed} at most")
 
-    def see(self, rows: NDArray[np.int64]) -> None:
-        """Draw the observations of some environments."""
-        work = self._everything
-        work[:] = 0
-        work[rows] = SEE
-        self.work(self._no_actions, work)
+    def work(self, work: int | NDArray[np.int64], actions: NDArray[np.float32] | None = None) -> None:
+        """Do `work`, int64 [E] or the same in all environments (see `episode.orders`).
 
-    def work(self, actions: NDArray[np.float32], work: NDArray[np.int64]) -> None:
-        """Do what `work` int64 [E] says (see `episode.drive`) with `actions` float32 [E, 2]."""
+        `actions` is float32 [E, 2]; without one there is nothing to TAKE.
+        """
+        self._orders.work[:] = work
+        if actions is not None:
+            self._orders.actions[:] = actions
+        self._do()
+
+    def _do(self) -> None:
         if self._pool is None:
-            drive(*self.state, actions, work, 0, len(self))
+            drive(*self.state, self._orders, 0, len(self))
             return
         others = [
-            self._pool.submit(drive, *self.state, actions, work, first, last)
+            self._pool.submit(drive, *self.state, self._orders, first, last)
             for first, last in self._chunks[1:]
         ]
-        drive(*self.state, actions, work, *self._chunks[0])
+        drive(*self.state, self._orders, *self._chunks[0])
         wait(others)
         for other in others:
             other.result()
@@ -154,23 +159,3 @@ def _masked(columns: Mapping[str, NDArray], rows: NDArray[np.bool_]) -> dict[str
         masked[name][~rows] = 0
         masked[f"_{name}"] = rows.copy()
     return masked
-
-
-class _Starts:
-    """Where an ego may start: anywhere on an ordinary lane, a car's length from its ends.
-
-    Not where the lane is about to end: the ego needs room to change to the one beside it.
-    """
-
-    def __init__(self, town: Town) -> None:
-        graph = town.graph
-        before_end = np.minimum(graph.length - EGO_LENGTH, dead_end_distance(graph) - ROOM_BEFORE_DEAD_END)
-        room = np.where(graph.junction < 0, np.maximum(before_end - EGO_LENGTH, 0.0), 0.0)
-        self._ends = np.cumsum(room)
-
-    def at(self, share: float) -> tuple[int, float]:
-        """The row and the metres along it at a share, 0 to 1, of all places."""
-        place = share * self._ends[-1]
-        row = int(np.searchsorted(self._ends, place, side="right"))
-        before = self._ends[row - 1] if row else 0.0
-        return row, EGO_LENGTH + float(place - before)

@@ -2,7 +2,7 @@
 
 import math
 
-from ..compilation import inlined, inner
+from ..compilation import part
 from ..maps.lane_graph import Floats
 from ..metrics import NO_COLLISION, STATIC_COLLISION, VEHICLE_COLLISION
 from ..traffic.collision import LEVEL_HEIGHT, first_touched, rectangles_touch
@@ -13,7 +13,7 @@ HORIZON = 5.0
 """Seconds that the time to collision looks ahead; farther ones count as infinite."""
 
 
-@inlined
+@part
 def collide(background: Background, obstacles: Floats, obstacle_count: int, ego: Floats) -> int:
     """Return what the ego touches, a kind of collision; a vehicle that it touches is marked as crashed.
 
@@ -32,7 +32,7 @@ def collide(background: Background, obstacles: Floats, obstacle_count: int, ego:
     return NO_COLLISION
 
 
-@inner
+@part
 def time_to_collision(background: Background, ego: Floats) -> float:
     """Return seconds until the ego touches a vehicle ahead of it if all keep speed and heading, or inf."""
     cosine, sine = math.cos(ego[HEADING]), math.sin(ego[HEADING])
@@ -53,7 +53,7 @@ def time_to_collision(background: Background, ego: Floats) -> float:
     return nearest if nearest <= HORIZON else math.inf
 
 
-@inlined
+@part
 def _time_to_touch(
     ego: Floats,
     cosine: float,

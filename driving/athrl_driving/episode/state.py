@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..maps import Town
 from ..maps.lane_graph import Floats, Integers
 from ..metrics import MetricsState, new_metrics
-from ..perception import drivable_map
+from ..perception import Perception
 from ..reward import REWARD_TERMS
 from ..route import LANES_AHEAD, RouteState, new_routes
 from ..traffic.state import Traffic, new_traffic
@@ -37,14 +37,6 @@ class DriveSettings(NamedTuple):
     """Distance of the waypoint, m."""
     waypoint_half_angle: float
     """Angle of the outermost waypoints, rad."""
-
-
-class View(NamedTuple):
-    """What perception needs to know of the town."""
-
-    cells: NDArray[np.uint8]
-    left: float
-    top: float
 
 
 class Progress(NamedTuple):
@@ -86,6 +78,8 @@ class Progress(NamedTuple):
     """[E] driven in the episode, m."""
     images: NDArray[np.uint8]
     """[E, S, S, 4]"""
+    lidar: Floats
+    """[E, rays] m to the first vehicle, clockwise from straight ahead; infinite where there is none."""
     motion: NDArray[np.float32]
     """[E, 2] speed / 8 m/s and steering command / 0.3, within +-2."""
 
@@ -97,26 +91,39 @@ class EpisodeState(NamedTuple):
     traffic: Traffic
     routes: RouteState
     metrics: MetricsState
-    perception: View
+    perception: Perception
     progress: Progress
 
 
+class Views(NamedTuple):
+    """One environment's own traffic, route and metrics: the same memory without the environment axis."""
+
+    traffic: Traffic
+    route: RouteState
+    metrics: MetricsState
+
+
 def new_state(
-    town: Town, settings: DriveSettings, environments: int, vehicles: int, image_size: int
+    town: Town,
+    settings: DriveSettings,
+    perception: Perception,
+    environments: int,
+    *,
+    vehicles: int,
+    image_size: int,
 ) -> EpisodeState:
     """Make room for `environments` episodes with `vehicles` background vehicles each; none has begun."""
-    drivable = drivable_map(town.name)
     return EpisodeState(
         settings=settings,
         traffic=new_traffic(town, environments, vehicles),
         routes=new_routes(town.graph, environments),
         metrics=new_metrics(environments),
-        perception=View(drivable.cells, drivable.left, drivable.top),
-        progress=_new_progress(environments, image_size),
+        perception=perception,
+        progress=_new_progress(environments, image_size, perception.ray_cosine.size),
     )
 
 
-def _new_progress(count: int, image_size: int) -> Progress:
+def _new_progress(count: int, image_size: int, rays: int) -> Progress:
     return Progress(
         ego=np.zeros((count, EGO_SIZE)),
         control=np.zeros((count, CONTROL_SIZE)),
@@ -136,5 +143,6 @@ def _new_progress(count: int, image_size: int) -> Progress:
         speed=np.zeros(count),
         distance=np.zeros(count),
         images=np.zeros((count, image_size, image_size, 4), np.uint8),
+        lidar=np.full((count, rays), np.inf),
         motion=np.zeros((count, 2), np.float32),
     )

@@ -1,31 +1,24 @@
 """One tick of an episode, compiled."""
 
-from ..compilation import inlined, inner
+from ..compilation import part
 from ..maps.geometry import lane_elevation, lane_project
-from ..metrics import NO_COLLISION, MetricsState, note_tick
+from ..metrics import NO_COLLISION, note_tick
 from ..reward import add_reward_terms, has_left_lane
 from ..route import RouteState, follow, has_arrived, heading_of_nearest_waypoint, lanes_ahead
-from ..traffic.state import Traffic
-from ..traffic.tick import advance
+from ..traffic.signals import red_light
+from ..traffic.tick import _advance as advance
 from .ego import EGO_WHEELBASE, ELEVATION, HEADING, SPEED, STEERING, X, Y, control_ego, move_ego
 from .hazard import collide, time_to_collision
-from .state import DriveSettings, Progress
+from .state import DriveSettings, Progress, Views
 
 
-@inner
-def tick(
-    settings: DriveSettings,
-    traffic: Traffic,
-    route: RouteState,
-    metrics: MetricsState,
-    progress: Progress,
-    e: int,
-) -> None:
-    """Drive environment `e` for one tick; `traffic`, `route` and `metrics` are its views.
+@part
+def tick(views: Views, settings: DriveSettings, progress: Progress, e: int) -> None:
+    """Drive environment `e`, whose own traffic, route and metrics are in `views`, for one tick.
 
     Traffic sees where the ego was at the tick's beginning.
     """
-    graph, interval = traffic.graph, settings.interval
+    traffic, route, graph, interval = views.traffic, views.route, views.traffic.graph, settings.interval
     ego, control, path = progress.ego[e], progress.control[e], progress.path[e]
     position = route.position[0]
     control_ego(ego, control, interval)
@@ -41,19 +34,13 @@ def tick(
     _count_tick(settings, progress, e, route)
     driven = route.position[0] - position
     note_tick(
-        metrics, ego[SPEED], ego[HEADING], driven, route.lateral[0],
+        views.metrics, ego[SPEED], ego[HEADING], driven, route.lateral[0],
         time_to_collision(traffic.background, ego), 0.0 <= line < driven and red_light(traffic, ahead),
         touched, progress.off_lane[e], progress.arrived[e], interval,
     )  # fmt: skip
 
 
-@inlined
-def red_light(traffic: Traffic, movement: int) -> bool:
-    """Placeholder until the traffic has signals."""
-    return False
-
-
-@inlined
+@part
 def _count_tick(settings: DriveSettings, progress: Progress, e: int, route: RouteState) -> None:
     """Add the tick to the decision's and the episode's sums and see whether the episode has ended."""
     ego, terms = progress.ego[e], progress.terms[e]

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined, inner
+from ..compilation import inlined, part
 from ..traffic.state import Background
 from .drivable import LEVEL_HEIGHT
 from .window import Window, column_of, row_of
@@ -22,8 +22,8 @@ LIDAR_RANGE = 40.0
 """How far a ray reaches where nothing else is asked for, m."""
 
 
-@inner
-def lidar_distances(
+@part
+def measure_distances(
     window: Window,
     heading: float,
     elevation: float,
@@ -31,13 +31,14 @@ def lidar_distances(
     ray_cosine: NDArray[np.float64],
     ray_sine: NDArray[np.float64],
     vehicles: Background,
-) -> NDArray[np.float64]:
-    """float64 [rays]: metres to the first vehicle in each direction, inf where none is within `reach`.
+    distances: NDArray[np.float64],
+) -> None:
+    """Fill `distances` [rays]: metres to the first vehicle in each direction, inf where none is in `reach`.
 
     Ray i points i * 360 / rays degrees to the right of the ego's heading.
     """
     rays = ray_cosine.shape[0]
-    distances = np.full(rays, math.inf)
+    distances[:] = math.inf
     spacing = 2.0 * math.pi / rays
     x, y, headings, heights = vehicles.x, vehicles.y, vehicles.heading, vehicles.elevation
     lengths, widths = vehicles.length, vehicles.width
@@ -69,7 +70,6 @@ def lidar_distances(
             ray += 1
             if ray == rays:
                 ray = 0
-    return distances
 
 
 @inlined

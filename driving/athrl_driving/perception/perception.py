@@ -14,7 +14,7 @@ from ..maps.lane_graph import Floats
 from ..route.state import RouteState, environment_route
 from ..traffic.state import Traffic, environment_traffic
 from .drivable import DrivableMap, drivable_grid
-from .lidar import LIDAR_RANGE, RAYS, draw_lidar, lidar_distances
+from .lidar import LIDAR_RANGE, RAYS, draw_lidar, measure_distances
 from .route_line import draw_route
 from .surface import draw_surface
 from .vehicles import draw_vehicles
@@ -76,9 +76,16 @@ def new_perception(
 
 @inlined
 def draw_surroundings(
-    perception: Perception, traffic: Traffic, route: RouteState, ego: Floats, image: NDArray[np.uint8]
+    perception: Perception,
+    traffic: Traffic,
+    route: RouteState,
+    ego: Floats,
+    image: NDArray[np.uint8],
+    distances: Floats,
 ) -> None:
     """Draw all channels of one environment into `image` uint8 [size, size, 4], whatever it held before.
+
+    `distances`, float64 [rays], is filled with what the lidar measures, m, inf where it sees nothing.
 
     `traffic` and `route` are the environment's views; `ego` is float64 [8]: x, y, heading, speed, length,
     width, elevation, present.
@@ -96,7 +103,7 @@ def draw_surroundings(
     draw_surface(image, window, perception.drivable, elevation)
     draw_vehicles(image, window, heading, elevation, traffic.graph, traffic.background)
     draw_route(image, window, elevation, traffic, route)
-    distances = lidar_distances(
+    measure_distances(
         window,
         heading,
         elevation,
@@ -104,6 +111,7 @@ def draw_surroundings(
         perception.ray_cosine,
         perception.ray_sine,
         traffic.background,
+        distances,
     )
     draw_lidar(image, window, distances, perception.ray_cosine, perception.ray_sine)
 
@@ -113,9 +121,15 @@ def draw_images(
     perception: Perception, traffic: Traffic, routes: RouteState, egos: Floats, images: NDArray[np.uint8]
 ) -> None:
     """Draw the images uint8 [E, size, size, 4] of E environments; `egos` is float64 [E, 8]."""
+    distances = np.empty(perception.ray_cosine.shape[0])
     for e in range(images.shape[0]):
         draw_surroundings(
-            perception, environment_traffic(traffic, e), environment_route(routes, e), egos[e], images[e]
+            perception,
+            environment_traffic(traffic, e),
+            environment_route(routes, e),
+            egos[e],
+            images[e],
+            distances,
         )
 
 
@@ -125,7 +139,8 @@ def lidar_scan(
 ) -> NDArray[np.float64]:
     """float64 [rays]: metres to the first vehicle in each direction, inf where none is within the range."""
     window = Window(ego[0], ego[1], math.cos(ego[2]), math.sin(ego[2]), 1.0, 0.0, 0.0)
-    return lidar_distances(
+    distances = np.empty(perception.ray_cosine.shape[0])
+    measure_distances(
         window,
         ego[2],
         ego[6],
@@ -133,4 +148,6 @@ def lidar_scan(
         perception.ray_cosine,
         perception.ray_sine,
         environment_traffic(traffic, environment).background,
+        distances,
     )
+    return distances

@@ -1,4 +1,4 @@
-"""A batch of environments that are stepped together, with their observations as rows of arrays."""
+"""A batch of environments that are stepped together, each begun by its own seed when its driver wants it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
-import athrl_driving  # noqa: F401  (importing it registers the towns)
-
-ENVIRONMENT_IDS = {"town03": "athrl/Town03-v0"}
+from athrl_driving.envs import TownRow, TownVectorEnv
 
 
 def environment_config(
@@ -39,62 +37,46 @@ def environment_config(
 
 @dataclass(frozen=True)
 class BatchStep:
-    """What a step returned: rewards float32 [batch], ends bool [batch], and gymnasium's info dicts.
+    """What a step returned: rewards float32 [batch], ends bool [batch], and infos as gymnasium's vectors do.
 
-    Rows that were not stepped have zeros, False and an empty dict.
+    Rows that were not stepped have zeros and False.
     """
 
     rewards: np.ndarray
     terminated: np.ndarray
     truncated: np.ndarray
-    infos: list[dict[str, Any]]
+    infos: Mapping[str, Any]
 
 
 class EnvironmentBatch:
     """`count` environments of one town, with `images` uint8 [count, H, W, C] and `motion` float32 [count, m].
 
-    After a step that ended an episode its rows hold the terminal observation until `reset` is called.
+    `images` and `motion` change with every step. After one that ended an episode its rows hold the terminal
+    observation until `reset` is called. `town` is a town's name or the path of an OpenDRIVE file.
     """
 
     def __init__(self, town: str, config: Mapping[str, Any], count: int) -> None:
-        if town not in ENVIRONMENT_IDS:
-            raise ValueError(f"there is no town {town!r}; known are {', '.join(ENVIRONMENT_IDS)}")
-        self.environments = [gymnasium.make(ENVIRONMENT_IDS[town], config=dict(config)) for _ in range(count)]
-        space = self.environments[0].observation_space
-        assert isinstance(space, gymnasium.spaces.Dict)
-        self.images = np.zeros((count, *(space["image"].shape or ())), np.uint8)
-        self.motion = np.zeros((count, *(space["motion"].shape or ())), np.float32)
+        self._vector = TownVectorEnv(count, config=config, map=town, autoreset_mode=AutoresetMode.DISABLED)
+        self.images, self.motion = self._vector.images, self._vector.motion
+        self.environments: list[TownRow] = [self._vector.row(row) for row in range(count)]
 
     def __len__(self) -> int:
-        return len(self.environments)
+        return self._vector.num_envs
 
     def reset(self, row: int, seed: int) -> None:
         """Begin a new episode in one environment."""
-        observation, _ = self.environments[row].reset(seed=seed)
-        self._take(row, observation)
+        self._vector.reset_row(row, seed)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> BatchStep:
         """Step with `actions` float32 [count, 2] in [-1, 1]; only rows of `active` bool [count] if given."""
-        count = len(self)
-        result = BatchStep(
-            np.zeros(count, np.float32), np.zeros(count, bool), np.zeros(count, bool), [{}] * count
-        )
-        for row, environment in enumerate(self.environments):
-            if active is not None and not active[row]:
-                continue
-            observation, reward, terminated, truncated, info = environment.step(actions[row])
-            self._take(row, observation)
-            result.rewards[row] = float(reward)
-            result.terminated[row] = terminated
-            result.truncated[row] = truncated and not terminated
-            result.infos[row] = info
-        return result
+        rows = np.ones(len(self), bool) if active is None else active
+        rewards, terminated, truncated, infos = self._vector.step_rows(actions, rows)
+        return BatchStep(rewards.astype(np.float32), terminated, truncated, infos)
+
+    def info(self, row: int) -> dict[str, Any]:
+        """What `info` tells of one environment's last decision."""
+        return self._vector.episodes.info(row)
 
     def close(self) -> None:
         """Close the environments."""
-        for environment in self.environments:
-            environment.close()
-
-    def _take(self, row: int, observation: Mapping[str, np.ndarray]) -> None:
-        self.images[row] = observation["image"]
-        self.motion[row] = observation["motion"]
+        self._vector.close()

@@ -11,7 +11,7 @@ from athrl_actor.rollout import Moment
 def frame_of_moment(town: str, moment: Moment) -> Frame:
     """Describe a moment."""
     return frame_of(
-        moment.environment.unwrapped.scene(),  # type: ignore[attr-defined]
+        moment.environment.scene(),
         moment.image,
         driver="policy",
         town=town,

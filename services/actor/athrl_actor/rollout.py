@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import gymnasium
 import numpy as np
+from athrl_driving.envs import TownRow
 from athrl_driving.policy import (
     BatchStep,
     EnvironmentBatch,
@@ -27,7 +26,7 @@ from athrl_actor.statistics import DrivingStatistics
 class Moment:
     """What happened in one environment at one decision, for those who look on."""
 
-    environment: gymnasium.Env
+    environment: TownRow
     image: np.ndarray  # uint8 [H, W, C], after the decision
     policy_version: int
     episode_seed: int
@@ -93,14 +92,13 @@ class Rollout:
         decided = self._decide(policy, update, images, motion)
         last = policy.metadata.acting_level
         outcome = self._batch.step(last.normalised(decided.actions[last.name]))
-        for row, info in enumerate(outcome.infos):
-            self._count(row, float(outcome.rewards[row]), info)
+        self._count(outcome)
         if on_first_row is not None:
             on_first_row(self._moment(decided, outcome))
         chunks = self._cut(images, motion, decided, outcome, update.version)
         self._states = decided.states
         for row in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
-            self.statistics.episode_ended(self._returns[row], bool(outcome.infos[row]["collision"]))
+            self.statistics.episode_ended(self._returns[row], bool(outcome.infos["collision"][row]))
             self._begin_episode(row)
         return chunks
 
@@ -141,10 +139,11 @@ class Rollout:
             return policy.step(images, motion, self._states, forced=self._noise.uniform())
         return policy.step(images, motion, self._states, noise=self._noise.draw(update.noise_scale))
 
-    def _count(self, row: int, reward: float, info: Mapping[str, Any]) -> None:
-        self._steps[row] += 1
-        self._returns[row] += reward
-        self.statistics.decided(float(info["speed"]))
+    def _count(self, outcome: BatchStep) -> None:
+        self._returns += outcome.rewards
+        for row, speed in enumerate(outcome.infos["speed"].tolist()):
+            self._steps[row] += 1
+            self.statistics.decided(speed)
 
     def _cut(
         self, images: np.ndarray, motion: np.ndarray, decided: PolicyStep, outcome: BatchStep, version: int

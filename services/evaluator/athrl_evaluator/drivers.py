@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import gymnasium
 import numpy as np
 from athrl_driving import Driver, make_driver
+from athrl_driving.envs import TownRow
 from athrl_driving.policy import EnvironmentBatch, OnnxPolicy
 
 REFERENCE_DRIVERS = ("random", "blind", "rule-based")
@@ -31,7 +31,7 @@ class BatchDriver(Protocol):
     name: str
     policy_version: int
 
-    def begin(self, row: int, environment: gymnasium.Env, seed: int) -> None:
+    def begin(self, row: int, environment: TownRow, seed: int) -> None:
         """An episode has just begun in a row."""
 
     def decide(self, batch: EnvironmentBatch, active: np.ndarray) -> Decisions:
@@ -49,7 +49,7 @@ class GreedyPolicy:
         self._padded = -(-count // POLICY_ROWS) * POLICY_ROWS
         self._states = policy.initial_states(self._padded)
 
-    def begin(self, row: int, environment: gymnasium.Env, seed: int) -> None:
+    def begin(self, row: int, environment: TownRow, seed: int) -> None:
         """Forget the last episode."""
         for state in self._states.values():
             state[row] = 0
@@ -82,7 +82,7 @@ class ReferenceDriver:
         self.name = name
         self._drivers: list[Driver] = [make_driver(name) for _ in range(count)]
 
-    def begin(self, row: int, environment: gymnasium.Env, seed: int) -> None:
+    def begin(self, row: int, environment: TownRow, seed: int) -> None:
         """Begin the row's driver's episode."""
         self._drivers[row].reset(environment, seed)
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import gymnasium
 import numpy as np
+from athrl_driving.envs import TownRow
 from athrl_driving.policy import EnvironmentBatch
 
 from athrl_evaluator.drivers import BatchDriver
@@ -26,7 +26,7 @@ class EpisodeStep:
     index: int  # of the episode
     seed: int
     step: int  # decisions so far, this one included
-    environment: gymnasium.Env
+    environment: TownRow
     image: np.ndarray  # uint8 [H, W, C] after the step
     intention: float  # NaN: the driver has none
     reward: float
@@ -101,7 +101,7 @@ def drive_episodes(
         for row, running in enumerate(rows):
             if running is None:
                 continue
-            running.add(float(outcome.rewards[row]), outcome.infos[row])
+            running.add(float(outcome.rewards[row]), batch.info(row))
             step = _look(running, batch, row, float(decisions.intention[row]), float(outcome.rewards[row]))
             for onlooker in onlookers:
                 onlooker.on_step(step)

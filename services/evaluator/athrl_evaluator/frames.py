@@ -12,7 +12,7 @@ from athrl_evaluator.episodes import EpisodeStep
 def frame_of_step(driver: BatchDriver, town: str, step: EpisodeStep) -> Frame:
     """Describe the moment after a step."""
     return frame_of(
-        step.environment.unwrapped.scene(),  # type: ignore[attr-defined]
+        step.environment.scene(),
         step.image,
         driver=driver.name,
         town=town,

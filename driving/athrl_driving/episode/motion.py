@@ -1,0 +1,20 @@
+"""What the ego feels of its own motion, the observation beside the image, compiled."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import part
+from ..control import MAXIMUM_STEERING
+from ..maps.lane_graph import Floats
+from ..reward import FAST_SPEED
+from .ego import SPEED, STEERING
+
+MOTION_LIMIT = 2.0
+"""Bound of both entries of `motion`."""
+
+
+@part
+def note_motion(ego: Floats, control: Floats, motion: NDArray[np.float32]) -> None:
+    """Write speed / 8 m/s and steering command / 0.3 of an ego to `motion`, float32 [2]."""
+    motion[0] = min(max(ego[SPEED] / FAST_SPEED, -MOTION_LIMIT), MOTION_LIMIT)
+    motion[1] = min(max(control[STEERING] / MAXIMUM_STEERING, -MOTION_LIMIT), MOTION_LIMIT)
