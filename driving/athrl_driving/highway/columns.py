@@ -156,8 +156,12 @@ class Scratch(NamedTuple):
     """[P] m along the lane, ascending in each list."""
     pool_row: Integers
     """[P] the row."""
+    near: Integers
+    """[rows] whether it can be on the lane that is being listed."""
+    member: Integers
+    """[rows] the last list that it is in."""
     counters: Integers
-    """[3] lists' frame, what of the pool is used, and the row for which a kernel failed."""
+    """[4] the lists' frame, the pool's used part, the row for which a kernel failed, lists made so far."""
     trajectory: Floats
     """[rows, TRAJECTORY_POINTS, 3] predicted x, y, heading."""
     reach: Floats
@@ -169,6 +173,7 @@ class Scratch(NamedTuple):
 FRAME = 0
 POOL_USED = 1
 FAILED_ROW = 2
+LIST = 3
 
 TRAJECTORY_POINTS = 11
 """RegulatedRoad looks 3 s ahead in steps of 0.25 s, without both ends."""

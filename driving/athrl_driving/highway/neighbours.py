@@ -13,6 +13,7 @@ from athrl_driving.highway.columns import (
     KIND,
     LANDMARK,
     LANE,
+    LIST,
     NONE,
     POOL_USED,
     SPEED,
@@ -36,6 +37,8 @@ from athrl_driving.highway.lanes import (
     lane_coordinates,
 )
 
+SLACK = 1e-3
+"""m, for rounding."""
 MARGIN = 1.0
 """m beside a lane within which a vehicle still counts as on it."""
 
@@ -101,56 +104,85 @@ def _list_lane(
     rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, lane: int
 ) -> None:
     """List who is on a lane, or else on one that is connected to it, sorted by where they are along it."""
-    pool_along, pool_row = scratch.pool_along, scratch.pool_row
-    if scratch.counters[POOL_USED] + count > len(pool_row):
+    if scratch.counters[POOL_USED] + count > len(scratch.pool_row):
         # The pool is full: forget all lists, they are made again when they are needed.
         scratch.counters[FRAME] += 1
         scratch.counters[POOL_USED] = 0
-    start = end = scratch.counters[POOL_USED]
-    first, last = network.connected_start[lane], network.connected_start[lane + 1]
-    for row in range(count):
-        if rows.marks[KIND, row] == LANDMARK:
-            continue
-        x, y = scratch.x[row], scratch.y[row]
-        along = _along_if_on(network.lanes, lane, x, y)
-        if connected:
-            index = first
-            while math.isnan(along) and index < last:
-                along = _along_if_on(network.lanes, network.connected_lane[index], x, y)
-                along += network.connected_offset[index]
-                index += 1
-        if math.isnan(along):
-            continue
-        place = end
-        while place > start and pool_along[place - 1] > along:
-            pool_along[place], pool_row[place] = pool_along[place - 1], pool_row[place - 1]
-            place -= 1
-        pool_along[place], pool_row[place] = along, row
-        end += 1
+    scratch.counters[LIST] += 1
+    start = scratch.counters[POOL_USED]
+    end = _list_rows(rows, network, scratch, count, lane, 0.0, start, start)
+    if connected:
+        for index in range(network.connected_start[lane], network.connected_start[lane + 1]):
+            other, offset = network.connected_lane[index], network.connected_offset[index]
+            end = _list_rows(rows, network, scratch, count, other, offset, start, end)
     listed = scratch.listed
     listed[lane, 0], listed[lane, 1], listed[lane, 2] = scratch.counters[FRAME], start, end
     scratch.counters[POOL_USED] = end
 
 
-@part
-def _along_if_on(lanes, lane, x, y):  # type: ignore[no-untyped-def]
-    """Return how far along a lane a position on it is, m; not a number where it is not on it."""
+@whole
+def _list_rows(
+    rows: Rows,
+    network: Network,
+    scratch: Scratch,
+    count: int,
+    lane: int,
+    offset: float,
+    start: int,
+    end: int,
+) -> int:
+    """Add who is on a lane, and not in the list that begins at `start`, to it; return its new end."""
+    lanes, near, member = network.lanes, scratch.near, scratch.member
+    pool_along, pool_row = scratch.pool_along, scratch.pool_row
+    if _mark_near(lanes, lane, scratch.x, scratch.y, near, count) == 0:
+        return end
     room = lanes[lane, LANE_WIDTH] / 2.0 + MARGIN
-    east, south = x - lanes[lane, ORIGIN_X], y - lanes[lane, ORIGIN_Y]
-    # First what is cheap to find out, with some slack; most of the others are far away.
+    before, after = -lanes[lane, VEHICLE_LENGTH], lanes[lane, LANE_LENGTH] + lanes[lane, VEHICLE_LENGTH]
+    for row in range(count):
+        if not near[row] or member[row] == scratch.counters[LIST] or rows.marks[KIND, row] == LANDMARK:
+            continue
+        along, beside = lane_coordinates(lanes, lane, scratch.x[row], scratch.y[row])
+        if abs(beside) > room or along < before or along >= after:
+            continue
+        member[row] = scratch.counters[LIST]
+        along += offset
+        place = end
+        while place > start and (
+            pool_along[place - 1] > along or (pool_along[place - 1] == along and pool_row[place - 1] > row)
+        ):
+            pool_along[place], pool_row[place] = pool_along[place - 1], pool_row[place - 1]
+            place -= 1
+        pool_along[place], pool_row[place] = along, row
+        end += 1
+    return end
+
+
+@whole
+def _mark_near(lanes, lane, x, y, near, count):  # type: ignore[no-untyped-def]
+    """Mark who can be on a lane, by what is found out for several at a time; return how many that are."""
+    room = lanes[lane, LANE_WIDTH] / 2.0 + MARGIN + SLACK
+    origin_x, origin_y = lanes[lane, ORIGIN_X], lanes[lane, ORIGIN_Y]
+    number = 0
     if lanes[lane, SHAPE] == CIRCULAR:
-        reach = lanes[lane, RADIUS] + room + MARGIN
-        if east * east + south * south > reach * reach:
-            return math.nan
-    else:
-        beside = south * lanes[lane, DIRECTION_X] - east * lanes[lane, DIRECTION_Y]
-        if abs(beside) > room + abs(lanes[lane, AMPLITUDE]) + MARGIN:
-            return math.nan
-    along, beside = lane_coordinates(lanes, lane, x, y)
-    before, after = lanes[lane, VEHICLE_LENGTH], lanes[lane, LANE_LENGTH] + lanes[lane, VEHICLE_LENGTH]
-    if abs(beside) <= room and -before <= along < after:
-        return along
-    return math.nan
+        outside = lanes[lane, RADIUS] + room
+        inside = max(lanes[lane, RADIUS] - room, 0.0)
+        for row in range(count):
+            east, south = x[row] - origin_x, y[row] - origin_y
+            distance = east * east + south * south
+            near[row] = (distance <= outside * outside) & (distance >= inside * inside)
+            number += near[row]
+        return number
+    direction_x, direction_y = lanes[lane, DIRECTION_X], lanes[lane, DIRECTION_Y]
+    before = -lanes[lane, VEHICLE_LENGTH] - SLACK
+    after = lanes[lane, LANE_LENGTH] + lanes[lane, VEHICLE_LENGTH] + SLACK
+    room += abs(lanes[lane, AMPLITUDE])
+    for row in range(count):
+        east, south = x[row] - origin_x, y[row] - origin_y
+        along = east * direction_x + south * direction_y
+        beside = south * direction_x - east * direction_y
+        near[row] = (along >= before) & (along <= after) & (abs(beside) <= room)
+        number += near[row]
+    return number
 
 
 @part

@@ -48,6 +48,8 @@ def enforce_road_rules(
             marks[IS_YIELDING, row] = 0
         else:
             state[YIELD_TIMER, row] += 1.0
+    if vehicles < 2:
+        return NONE  # as highway-env, which then predicts nothing and meets no missing lane
     for row in range(vehicles):
         if not _predict(rows, network, scratch, row):
             return row

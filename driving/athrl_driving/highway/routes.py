@@ -90,7 +90,7 @@ def _lane_of_road(network: Network, lane: int, following: int, number: int, x: f
 
 @whole
 def lane_of_route(rows: Rows, network: Network, row: int, place: int) -> int:
-    """Return the lane at a place of a route (the vehicle's own where it has none), NONE where there is none."""
+    """Return the lane at a place of a route (the vehicle's own where it has none), or NONE."""
     lane = rows.marks[LANE, row]
     if rows.marks[ROUTE_HEAD, row] >= rows.marks[ROUTE_END, row]:
         return lane
