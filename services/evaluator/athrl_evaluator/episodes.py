@@ -65,6 +65,7 @@ class _Running:
         self.last_info = info
 
     def result(self, full: bool) -> EpisodeResult:
+        metrics = self.last_info["metrics"]
         return EpisodeResult(
             seed=self.seed,
             episode_return=self.episode_return,
@@ -74,6 +75,10 @@ class _Running:
             collision=bool(self.last_info["collision"]),
             off_lane=bool(self.last_info["off_lane"]),
             full=full,
+            driving_score=metrics["driving_score"],
+            comfort=metrics["comfort_all"],
+            time_to_collision_kept=metrics["time_to_collision_kept"],
+            red_lights=int(metrics["red_lights"]),
         )
 
 

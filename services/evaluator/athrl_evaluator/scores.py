@@ -28,6 +28,10 @@ class EpisodeResult:
     collision: bool
     off_lane: bool
     full: bool  # it lasted until the time limit
+    driving_score: float  # CARLA leaderboard's, 0 to 1
+    comfort: float  # share of the ticks within all of nuPlan's bounds
+    time_to_collision_kept: float  # share of the ticks with more than nuPlan's 0.95 s
+    red_lights: int  # run
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,10 @@ class Scores:
     collision_rate: float
     off_lane_rate: float
     full_episode_rate: float
+    driving_score: float
+    comfort: float
+    time_to_collision_kept: float
+    red_lights: float
 
     def as_dict(self) -> dict[str, float]:
         """The scores by name."""
@@ -64,6 +72,10 @@ def score(results: Sequence[EpisodeResult]) -> Scores:
         collision_rate=float(np.mean([result.collision for result in results])),
         off_lane_rate=float(np.mean([result.off_lane for result in results])),
         full_episode_rate=float(np.mean([result.full for result in results])),
+        driving_score=float(np.mean([result.driving_score for result in results])),
+        comfort=float(np.mean([result.comfort for result in results])),
+        time_to_collision_kept=float(np.mean([result.time_to_collision_kept for result in results])),
+        red_lights=float(np.mean([result.red_lights for result in results])),
     )
 
 

@@ -22,6 +22,10 @@ SCORES = {
     "collision_rate",
     "off_lane_rate",
     "full_episode_rate",
+    "driving_score",
+    "comfort",
+    "time_to_collision_kept",
+    "red_lights",
 }
 
 

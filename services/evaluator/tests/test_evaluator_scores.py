@@ -14,6 +14,10 @@ def episode(episode_return: float, **changes: object) -> EpisodeResult:
         "collision": False,
         "off_lane": False,
         "full": True,
+        "driving_score": 0.8,
+        "comfort": 1.0,
+        "time_to_collision_kept": 1.0,
+        "red_lights": 0,
     }
     return EpisodeResult(seed=1, episode_return=episode_return, **(values | changes))  # type: ignore[arg-type]
 
@@ -24,13 +28,14 @@ def test_rates_and_means_are_over_episodes():
             episode(10.0),
             episode(20.0, collision=True, full=False),
             episode(30.0, off_lane=True, full=False),
-            episode(40.0, distance=300.0),
+            episode(40.0, distance=300.0, driving_score=0.4, comfort=0.6, red_lights=2),
         ]
     )
     assert scores.episodes == 4
     assert scores.return_mean == 25.0
     assert scores.distance_m == 150.0
     assert (scores.collision_rate, scores.off_lane_rate, scores.full_episode_rate) == (0.25, 0.25, 0.5)
+    assert (scores.driving_score, scores.comfort, scores.red_lights) == pytest.approx((0.7, 0.9, 0.5))
 
 
 def test_the_mean_speed_weighs_every_tick_alike():
