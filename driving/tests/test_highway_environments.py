@@ -159,6 +159,7 @@ def test_vehicles_that_come_and_go_are_noticed() -> None:
         peer.reset(seed=2)
         peer.step(1)
         road = peer.unwrapped.road
+        road.vehicles[5].DELTA = 4.2
         gone.append(road.vehicles.pop(5))
         front = peer.unwrapped.vehicle.position + np.array([20.0, 0.0])
         road.vehicles.append(IDMVehicle(road, front, speed=15.0))
@@ -170,6 +171,19 @@ def test_vehicles_that_come_and_go_are_noticed() -> None:
     np.testing.assert_allclose(gone[1].position, gone[0].position, rtol=0, atol=1e-9)
     assert gone[1].lane_index == gone[0].lane_index
     assert gone[1].target_speed == pytest.approx(gone[0].target_speed)
+
+
+def test_a_vehicle_can_move_to_another_road() -> None:
+    first, second = (accelerate(gymnasium.make("highway-fast-v0")).unwrapped for _ in range(2))
+    for environment in (first, second):
+        environment.reset(seed=0)
+    vehicle = first.road.vehicles[4]
+    second.road.vehicles.append(vehicle)
+    second.step(1)
+    moved = vehicle.position.copy()
+    first.road.vehicles.remove(vehicle)
+    first.step(1)
+    np.testing.assert_array_equal(vehicle.position, moved)
 
 
 def test_a_copy_goes_its_own_way() -> None:

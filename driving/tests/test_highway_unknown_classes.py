@@ -81,6 +81,12 @@ def test_a_method_of_one_vehicle_alone_is_named(environment: Any) -> None:
         accelerate(environment)
 
 
+def test_a_method_that_one_vehicle_is_given_later_is_named(environment: Any) -> None:
+    accelerate(environment)
+    with pytest.raises(UnknownClassError, match="MDPVehicle: this one is given its own act"):
+        environment.vehicle.act = lambda action=None: None
+
+
 def test_a_vehicle_whose_size_is_computed_is_named(environment: Any) -> None:
     environment.road.vehicles.append(Growing(environment.road, position(environment)))
     with pytest.raises(UnknownClassError, match=r"Growing: its LENGTH is no number, but computed"):

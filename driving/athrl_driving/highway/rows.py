@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex
+from highway_env.vehicle.behavior import LinearVehicle
 from highway_env.vehicle.objects import RoadObject
 
 from athrl_driving.highway import columns as column
 from athrl_driving.highway.columns import SCALAR_PARAMETERS, VECTOR_PARAMETERS
+from athrl_driving.highway.known import OBJECT_BEHAVIOUR, UnknownClassError, vars_of_methods
 from athrl_driving.highway.standing_in import standing_in
 
 if TYPE_CHECKING:
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
 
 PARAMETERS = frozenset((*SCALAR_PARAMETERS, *VECTOR_PARAMETERS, "prediction_type"))
 """Attributes that may be set on one vehicle and are then read again."""
+
+METHODS = OBJECT_BEHAVIOUR & vars_of_methods(LinearVehicle)
+"""Methods that the kernels stand for, which nobody may replace."""
 
 
 class RowType(ABCMeta):
@@ -187,6 +192,10 @@ class Row:
         rows.state[column.IMPACT_X : column.IMPACT_Y + 1, row] = 0.0 if value is None else value
 
     def __setattr__(self, name: str, value: Any) -> None:
+        if name in METHODS:
+            raise UnknownClassError(
+                f"cannot accelerate {type(self).__qualname__}: this one is given its own {name}"
+            )
         super().__setattr__(name, value)
         if name in PARAMETERS:
             self._table.read_again(self)

@@ -57,7 +57,7 @@ class Table:
         kinds = [self._kind(thing) for thing in things]
         staying = {id(thing) for thing in things}
         for thing in self.things:
-            if id(thing) not in staying:
+            if id(thing) not in staying and self.has(thing):
                 self._take_out(thing)
         old = [thing._row if self.has(thing) else NONE for thing in things]
         self._arrange(old)
@@ -182,7 +182,8 @@ class Table:
                 self._stale += [thing for thing in self.things if type(thing).plain is cls]
         if self._stale:
             for thing in self._stale:
-                self._read_parameters(thing)
+                if self.has(thing):
+                    self._read_parameters(thing)
             self._stale = []
 
     def _read_parameters(self, thing: Any) -> None:
