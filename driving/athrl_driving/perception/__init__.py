@@ -1,8 +1,6 @@
 """What the planner sees: a bird's eye view and a lidar image around the ego, drawn by compiled kernels."""
 
-from .before.drivable import drivable_map
 from .drivable import LEVEL_HEIGHT, DrivableMap, draw_drivable_map, drivable_grid
-from .image import Perception as FormerPerception
 from .lidar import LIDAR_RANGE, RAYS
 from .perception import CHANNELS, Perception, draw_images, draw_surroundings, lidar_scan, new_perception
 from .window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE
@@ -15,13 +13,11 @@ __all__ = [
     "RAYS",
     "WINDOW_SIDE",
     "DrivableMap",
-    "FormerPerception",
     "Perception",
     "draw_drivable_map",
     "draw_images",
     "draw_surroundings",
     "drivable_grid",
-    "drivable_map",
     "lidar_scan",
     "new_perception",
 ]
