@@ -8,12 +8,14 @@ import hashlib
 import logging
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from filelock import FileLock, Timeout
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -33,6 +35,9 @@ _KERNEL_FILES = {
     "highway": ("highway/**/*.py",),
 }
 """The files of the two families of kernels, which are compiled into each other."""
+
+LONGEST_COMPILATION = 600.0
+"""Seconds for which a process waits for another one that compiles the same kernels."""
 
 _PACKAGE = Path(__file__).resolve().parent
 _LOG = logging.getLogger(__name__)
@@ -73,10 +78,37 @@ def announce_compilation(kernel: Callable[..., Any], seconds: int) -> None:
 
     Nothing is said when its machine code is there already. `seconds` is about how long it takes.
     """
-    module, name = kernel.__module__.rpartition(".")[2], kernel.__name__
-    if not any(Path(cache_folder(_family(kernel))).rglob(f"{module}.{name}-*.nbi")):
+    if not _is_compiled(kernel):
         # A warning, because that is what Python shows where no logging has been configured.
         _LOG.warning("compiling the simulation: once per installation, about %d s", seconds)
+
+
+@contextmanager
+def compiled_once(kernel: Callable[..., Any], seconds: int) -> Iterator[None]:
+    """Announce that `kernel` is compiled in this block, which must call it, unless another process does so.
+
+    Processes that start together would all compile the same and be slow at it: the others wait for the first
+    one and take its machine code.
+    """
+    if _is_compiled(kernel):
+        yield
+        return
+    lock = FileLock(Path(cache_folder(_family(kernel))) / "compiling.lock")
+    try:
+        lock.acquire(timeout=LONGEST_COMPILATION)
+    except Timeout:
+        _LOG.warning("another process compiles for more than %g s; not waiting longer", LONGEST_COMPILATION)
+    try:
+        announce_compilation(kernel, seconds)
+        yield
+    finally:
+        lock.release()
+
+
+def _is_compiled(kernel: Callable[..., Any]) -> bool:
+    """Tell whether machine code of a kernel, of any signature, is kept."""
+    module, name = kernel.__module__.rpartition(".")[2], kernel.__name__
+    return any(Path(cache_folder(_family(kernel))).rglob(f"{module}.{name}-*.nbi"))
 
 
 def _family(function: Callable[..., Any]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import announce_compilation
+from ..compilation import compiled_once
 from ..maps import Town
 from ..metrics import summary
 from ..perception import Perception
@@ -24,7 +24,7 @@ from .state import DriveSettings, EpisodeState, new_state
 ROWS_PER_THREAD = 4
 """Environments below which another thread costs more than it brings."""
 
-_COMPILE_SECONDS = 30
+_COMPILE_SECONDS = 40
 
 
 class Episodes:
@@ -49,7 +49,6 @@ class Episodes:
         traffic_near: tuple[float, float, float] | None = None,
         threads: int = 1,
     ) -> None:
-        announce_compilation(drive, _COMPILE_SECONDS)
         self.town = town
         self.state: EpisodeState = new_state(
             town, settings, perception, environments, vehicles=vehicles, image_size=image_size
@@ -62,6 +61,8 @@ class Episodes:
         edges = [environments * chunk // threads for chunk in range(threads + 1)]
         self._chunks = list(itertools.pairwise(edges))
         self._pool = ThreadPoolExecutor(threads - 1, "athrl-drive") if threads > 1 else None
+        with compiled_once(drive, _COMPILE_SECONDS):
+            self.work(0)
 
     def __len__(self) -> int:
         return self._orders.work.size
