@@ -92,8 +92,11 @@ def follow_path(graph: LaneGraph, rails: Rails, covered: EgoOnLinks, ego: Floats
             if count == 0 or covered.path_link[count - 1] != link:
                 covered.path_link[count], covered.path_base[count] = link, base - before
                 count += 1
-            base += graph.length[row]
-            covered.path_until[count - 1] = base - covered.path_base[count - 1]
+            covered.path_until[count - 1] = base + graph.length[row] - covered.path_base[count - 1]
+            following = path[index + 1] if index + 1 < path.shape[0] else NOBODY
+            # A neighbour follows where the ego changes lanes: that starts at the same station.
+            if following < 0 or (following != rails.beside[row, 0] and following != rails.beside[row, 1]):
+                base += graph.length[row]
     if count < covered.path_link.shape[0]:
         covered.path_link[count] = NOBODY
     return place >= 0

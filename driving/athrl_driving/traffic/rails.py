@@ -77,6 +77,8 @@ class Rails(NamedTuple):
     """[..] links before."""
     later: Floats
     """[M] s that who asks for the movement lets others go first who come after it."""
+    crossing_pace: Floats
+    """[M] m/s, the least pace on the movement's rows, 8 m/s at most."""
     signal: Integers
     """[M] the signal group that governs the movement, or -1."""
     start_link: Integers
@@ -121,6 +123,7 @@ def lay_rails(town: Town) -> Rails:
         link, offset, place, pace, _entry_speeds(graph, chains, pace), _beside(graph),
         ways_out, row_start, rows, length, room,
         next_start, next_links, previous_start, previous_links, _handicaps(town),
+        np.array([min(8.0, float(pace[chain].min())) for chain in chains[:ways]]),
         np.asarray(movements.signal, dtype=np.int64), start_link, start_position, *_grid(graph),
     )  # fmt: skip
 

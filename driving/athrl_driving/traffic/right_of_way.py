@@ -17,6 +17,7 @@ from athrl_driving.traffic.nodes import owner
 from athrl_driving.traffic.paths import plan_from, random_below
 from athrl_driving.traffic.rails import CURVE_BRAKING
 from athrl_driving.traffic.signals import GREEN, light
+from athrl_driving.traffic.turns import exit_of, is_gone_in_time
 
 SLOT = 10.0
 """Metres of road that a standing vehicle needs behind a junction: its length and the gap to the next."""
@@ -24,19 +25,18 @@ SLOT = 10.0
 DETOUR_AFTER = 8.0
 """Seconds without room on the exit after which a vehicle takes another way that has room."""
 
+LONG_DETOUR_AFTER = 20.0
+"""Seconds of waiting for others after which a vehicle takes another way that is free."""
+
 GIVE_BACK_AFTER = 6.0
 """Seconds that a vehicle may stand before the line with a right to cross before it has to ask again."""
 
 ASK_MARGIN = 15.0
 """Metres before the point where it would have to brake for the line at which a vehicle asks."""
 
-SLOWEST_GOING = 2.0
-"""m/s from which on a vehicle in a junction counts as leaving it."""
+CLAIM_AFTER = 25.0
+"""Seconds of waiting, beyond what a movement gives way, after which nobody new may get in its way."""
 
-FASTEST_COMING = 8.0
-"""m/s with which a vehicle may reach a meeting that others are about to leave."""
-
-_BEYOND_HELP = 1.0
 _FREE, _TAKEN, _EGO = 0, 1, 2
 
 
@@ -55,29 +55,24 @@ def count_holders(traffic: Traffic) -> None:
         movement = granted[row]
         if movement >= 0:
             holders[movement] += 1
-            inbound[_exit(traffic, movement)] += 1
+            inbound[exit_of(traffic, movement)] += 1
             rearmost[movement] = -math.inf
         movement = crossing[row]
         if movement >= 0:
             holders[movement] += 1
             if row == vehicles:
                 # The ego may turn back or stop anywhere: it holds the whole movement until it has left.
-                inbound[_exit(traffic, movement)] += 1
+                inbound[exit_of(traffic, movement)] += 1
                 rearmost[movement] = -math.inf
                 continue
             rear = scratch.position[row] - 0.5 * traffic.background.length[row]
             if scratch.link[row] == movement:
-                inbound[_exit(traffic, movement)] += 1
+                inbound[exit_of(traffic, movement)] += 1
             else:
                 rear += rails.length[movement]
             if rear < rearmost[movement]:
                 rearmost[movement] = rear
                 right_of_way.rearmost_speed[movement] = traffic.background.speed[row]
-
-
-@part
-def _exit(traffic: Traffic, movement: int) -> int:
-    return traffic.rails.next[traffic.rails.next_start[movement]]
 
 
 @part
@@ -117,9 +112,13 @@ def serve(traffic: Traffic) -> None:
         state = _state_of(traffic, row, movement)
         if state != _FREE:
             # Who waits for the ego, which may stand for ever, keeps nobody else from crossing.
-            right_of_way.claimed[movement] |= state == _TAKEN and not second
+            right_of_way.claimed[movement] |= (
+                state == _TAKEN and waited > traffic.rails.later[movement] + CLAIM_AFTER
+            )
+            if row != ego_row and state == _TAKEN and waited > LONG_DETOUR_AFTER:
+                _take_another_way(traffic, row, movement)
             continue
-        exit_link = _exit(traffic, movement)
+        exit_link = exit_of(traffic, movement)
         gives_way = second and traffic.movements.yields[movement]
         if not _has_room(
             traffic, exit_link, (right_of_way.inbound[exit_link] + (2 if gives_way else 1)) * SLOT
@@ -174,57 +173,10 @@ def _state_of(traffic: Traffic, row: int, movement: int) -> int:
         conflict = movements.conflict[index]
         if right_of_way.claimed[conflict]:
             return _TAKEN
-        if right_of_way.holders[conflict] > 0 and not _is_gone_in_time(traffic, row, index, conflict):
+        if right_of_way.holders[conflict] > 0 and not is_gone_in_time(traffic, row, index, conflict):
             return _TAKEN
         by_ego |= not for_ego and blocks[conflict] == 2
     return _EGO if by_ego else _FREE
-
-
-@part
-def _is_gone_in_time(traffic: Traffic, row: int, index: int, conflict: int) -> bool:
-    """Tell whether all who cross on `conflict` will be out of the way when vehicle `row` can come there."""
-    right_of_way, meetings = traffic.right_of_way, traffic.meetings
-    rest = meetings.clear[index] - right_of_way.rearmost[conflict]
-    if rest <= 0.0:
-        return True
-    speed = right_of_way.rearmost_speed[conflict]
-    if rest == math.inf or speed < SLOWEST_GOING or row == traffic.background.lane.shape[0]:
-        return False
-    way = right_of_way.line_distance[row] + meetings.begin[index]
-    return rest / speed <= way / FASTEST_COMING
-
-
-@part
-def way_to_a_meeting(traffic: Traffic, row: int, movement: int, base: float, turn: int) -> float:
-    """Return how far vehicle `row` may drive (m) before it is in the way of who has an earlier turn.
-
-    `base` is the way to the start of its movement, from its centre.
-    """
-    movements, meetings, scratch = traffic.movements, traffic.meetings, traffic.scratch
-    right_of_way, lengths = traffic.right_of_way, traffic.background.length
-    vehicles = lengths.shape[0]
-    way = math.inf
-    for index in range(movements.conflict_start[movement], movements.conflict_start[movement + 1]):
-        conflict = movements.conflict[index]
-        if right_of_way.holders[conflict] == 0:
-            continue
-        to_meeting = base + meetings.begin[index] - 0.5 * lengths[row]
-        if to_meeting < -_BEYOND_HELP or to_meeting > way:
-            continue
-        node = scratch.first[conflict]
-        while node != NOBODY:
-            rear = scratch.position[node] - 0.5 * lengths[node]
-            if rear >= meetings.clear[index]:
-                break
-            if right_of_way.crossing_turn[node] < turn:
-                way = to_meeting
-            node = scratch.following[node]
-        node = scratch.first[_exit(traffic, conflict)]
-        if node != NOBODY and node < vehicles and right_of_way.crossing[node] == conflict:
-            rear = scratch.position[node] - 0.5 * lengths[node] + traffic.rails.length[conflict]
-            if rear < meetings.clear[index] and right_of_way.crossing_turn[node] < turn:
-                way = to_meeting
-    return way
 
 
 @part
@@ -263,8 +215,10 @@ def _take_another_way(traffic: Traffic, row: int, movement: int) -> None:
     first = random_below(traffic.background, row, end - start)
     for index in range(end - start):
         other = movements.sibling[start + (first + index) % (end - start)]
-        exit_link = _exit(traffic, other)
-        if _has_room(traffic, exit_link, (right_of_way.inbound[exit_link] + 1) * SLOT):
+        exit_link = exit_of(traffic, other)
+        if _has_room(traffic, exit_link, (right_of_way.inbound[exit_link] + 1) * SLOT) and (
+            _state_of(traffic, row, other) == _FREE
+        ):
             traffic.background.path[row, 1] = other
             plan_from(traffic.rails, traffic.background, row, 2)
             return

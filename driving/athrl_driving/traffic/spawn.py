@@ -152,7 +152,7 @@ def _forget(traffic: Traffic, clock: float) -> None:
     changes.asks[:] = False
     changes.wanted_since[:] = math.inf
     traffic.scratch.clock[0] = clock
-    traffic.scratch.turns[0] = 0
+    traffic.scratch.turns[:] = 0
 
 
 @part

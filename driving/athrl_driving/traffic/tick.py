@@ -23,8 +23,9 @@ from athrl_driving.traffic.leaders import look_ahead, look_beside
 from athrl_driving.traffic.nodes import sort_onto_links
 from athrl_driving.traffic.paths import drop_first
 from athrl_driving.traffic.rails import CURVE_BRAKING
-from athrl_driving.traffic.right_of_way import ask, count_holders, serve, way_to_a_meeting
+from athrl_driving.traffic.right_of_way import ask, count_holders, serve
 from athrl_driving.traffic.state import environment_traffic
+from athrl_driving.traffic.turns import way_to_a_meeting
 
 LINE_MARGIN = 0.5
 """Metres between a waiting vehicle's front and the stop line."""
