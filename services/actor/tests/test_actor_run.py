@@ -96,7 +96,7 @@ def test_chunks_hold_whole_episodes_with_their_states(learner, start: Start):
 def test_uniform_exploration_fills_the_ranges_and_a_quiet_policy_does_not_explore(learner, start: Start):
     learner.publish(0, uniform=True)
     start()
-    learner.wait_for_chunks(16)
+    learner.wait_for_chunks(60)  # episodes of a random driver may be a few decisions short
     learner.publish(1, noise_scale=0.0)
     learner.wait_for(lambda: learner.chunks[-1].policy_version.min() == 1)
     uniform = np.concatenate([_actions(chunk, 0) for chunk in learner.chunks])
