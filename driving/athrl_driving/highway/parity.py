@@ -15,8 +15,9 @@ _ABSENT = {"is_yielding": False, "yield_timer": 0}
 def difference(plain: Road, accelerated: Road) -> float:
     """Return the greatest difference between positions (m), headings (rad), speeds (m/s) and the like.
 
-    Infinite where lanes, target lanes, routes, crashes or who yields are not equal, or where there are not
-    as many vehicles.
+    Actions are not compared, only what they lead to: at a standstill highway-env's steering magnifies the
+    last bit of a position a hundred thousand times, where it turns nothing. Infinite where lanes, target
+    lanes, routes, crashes or who yields are not equal, or where there are not as many vehicles.
     """
     return max((value for _, value in differences(plain, accelerated)), default=0.0)
 
@@ -39,9 +40,6 @@ def differences(plain: Road, accelerated: Road) -> list[tuple[str, float]]:
 
 def _differences(one: Any, other: Any) -> list[tuple[str, float]]:
     found = [("position", float(np.abs(np.subtract(one.position, other.position)).max()))]
-    if hasattr(one, "action"):
-        pairs = [(one.action[name], other.action[name]) for name in ("steering", "acceleration")]
-        found.append(("action", max(float(np.abs(np.subtract(*pair)).max()) for pair in pairs)))
     impacts = one.impact, other.impact
     if hasattr(one, "action") and any(impact is not None for impact in impacts):
         lost = any(impact is None for impact in impacts)
