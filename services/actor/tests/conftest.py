@@ -11,6 +11,7 @@ import numpy as np
 import onnx
 import onnx.parser
 import pytest
+from athrl_driving.policy import EnvironmentBatch
 from athrl_protocol import (
     Chunk,
     ChunkIntake,
@@ -165,6 +166,12 @@ class Learner:
         with self.changed:
             self.reports.append(report)
             self.changed.notify_all()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_town() -> None:
+    """Have the simulation compiled before an actor is waited for: that takes its time once."""
+    EnvironmentBatch("town03", {"vehicles_count": 1}, 1).close()
 
 
 @pytest.fixture
