@@ -47,12 +47,16 @@ class _ReferenceAttribute(AttributeTemplate):
 
 @lower_getattr_generic(Reference)
 def _read_field(context: BaseContext, builder: Any, reference: Reference, pointer: Any, name: str) -> Any:
-    field = cgutils.gep_inbounds(builder, pointer, 0, reference.target.fields.index(name))
-    return field if isinstance(reference.field(name), Reference) else builder.load(field)
+    index = reference.target.fields.index(name)
+    field = cgutils.gep_inbounds(builder, pointer, 0, index)
+    # A tuple may hold another one, or a reference to another one.
+    return field if isinstance(reference.target.types[index], BaseNamedTuple) else builder.load(field)
 
 
 @intrinsic
 def _referenced(typing_context: object, value: Any) -> tuple[Signature, object] | None:
+    if isinstance(value, Reference):
+        return value(value), lambda context, builder, signature, arguments: arguments[0]
     if not isinstance(value, BaseNamedTuple):
         return None
 
@@ -65,5 +69,7 @@ def _referenced(typing_context: object, value: Any) -> tuple[Signature, object] 
 
 
 by_reference = _referenced
-"""Return a reference to a named tuple. It is valid within the function that calls this and
-is not counted: the arrays have to be the caller's own."""
+"""Return a reference to a named tuple, or a reference as it is.
+
+It is valid within the function that calls this and is not counted: the arrays have to be the caller's own.
+"""

@@ -52,6 +52,20 @@ def compiled(function: Function) -> Function:
         numba.config.CACHE_DIR = kept
 
 
+def entry(function: Function) -> Function:
+    """Compile a function of `part` functions that Python calls with pinned state (`episode.pinned`).
+
+    Like `part` it counts no references; like `compiled` it is kept, and frees the interpreter's lock.
+    """
+    kept, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder(_family(function))
+    try:
+        return numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)(
+            function
+        )
+    finally:
+        numba.config.CACHE_DIR = kept
+
+
 def inlined(function: Function) -> Function:
     """Compile a function that only compiled functions call, into its callers."""
     return numba.njit(nogil=True, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
@@ -66,7 +80,7 @@ def part(function: Function) -> Function:
     """Compile a function that only compiled functions call, once for all of them, with few frills.
 
     References to arrays are not counted, which costs more than what is done with the arrays, so it makes no
-    arrays and returns none. State of many arrays it takes by reference (`traffic.by_reference`).
+    arrays and returns none. State of many arrays it takes by reference (`by_reference`).
     """
     return numba.njit(
         nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False

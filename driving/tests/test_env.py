@@ -1,5 +1,6 @@
 """The environment keeps gymnasium's rules and the task's: decisions, endings, sums, seeds."""
 
+import copy
 import hashlib
 import subprocess
 import sys
@@ -224,6 +225,21 @@ def test_seeds_differ_and_the_route_does_not_depend_on_the_traffic() -> None:
         np.testing.assert_array_equal(busy.vehicle.position, empty.vehicle.position)
         lanes.append(tuple(busy.route.lanes))
     assert len(set(lanes)) > 3
+
+
+def test_a_copy_goes_its_own_way_and_the_original_does_not_notice() -> None:
+    env, expected = new_env(), new_env()
+    for each in (env, expected):
+        each.reset(seed=12)
+        each.step(STRAIGHT_SLOWLY)
+    copied = copy.deepcopy(env)
+    drive(copied, HARD_RIGHT, 3)
+    assert copied.vehicle.heading > env.vehicle.heading
+    copied = copy.deepcopy(env)
+    for _ in range(5):
+        results = [each.step(STRAIGHT_SLOWLY) for each in (env, copied, expected)]
+        for one, *others in zip(*results, strict=True):
+            assert all(repr(one) == repr(other) for other in others)
 
 
 def test_spaces_and_their_seeds_last_over_resets() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +37,16 @@ class EpisodeRoad(TrafficRoad):
     @ego_path.setter
     def ego_path(self, value: NDArray[np.int64]) -> None:
         """The episode's route says where the ego goes."""
+
+    def leader_of_ego(self) -> tuple[float, float]:
+        """Return (gap m, speed m/s) of the next vehicle on the route, or (inf, 0).
+
+        The gap is from bumper to bumper along the route.
+        """
+        self._episodes.look(self.environment)
+        scratch = self.traffic.scratch
+        gap = float(scratch.gap[-1])
+        return gap, float(scratch.leader_speed[-1]) if math.isfinite(gap) else 0.0
 
     def hand_over_objects(self) -> None:
         """Tell the kernel what stands on the road; raises ValueError where that is more than it has room for.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -18,6 +19,17 @@ from .action import WaypointAction
 from .observation import BirdEyeObservation
 from .row import TownRow
 from .settings import DEFAULTS, changed_settings, first_settings, new_episodes, town_of
+
+_REMADE = (
+    "viewer",
+    "_record_video_wrapper",
+    "road",
+    "controlled_vehicles",
+    "_row",
+    "observation_type",
+    "action_type",
+)
+"""What a copy of an environment does not take over."""
 
 _ONLY = np.zeros(1, np.int64)
 
@@ -88,9 +100,34 @@ class TownEnv(AbstractEnv):
 
     def _reset(self) -> None:
         self.episodes.begin(_ONLY, [self.np_random])
+        self._show()
+
+    def _show(self) -> None:
+        """Make highway-env's view of the arrays."""
         self._row = TownRow(self.episodes, 0, self.config)
         self.road = self._row.road
         self.controlled_vehicles = [self._row.vehicle]
+
+    def __deepcopy__(self, memo: dict) -> TownEnv:
+        """Copy the episode, for planners that try actions out; the town is shared, the viewer left out."""
+        result = type(self).__new__(type(self))
+        memo[id(self)] = result
+        memo[id(self.town)] = self.town
+        remade = (
+            "viewer",
+            "_record_video_wrapper",
+            "road",
+            "controlled_vehicles",
+            "_row",
+            "observation_type",
+        )
+        for name, value in self.__dict__.items():
+            if name not in (*remade, "action_type"):
+                setattr(result, name, copy.deepcopy(value, memo))
+        result.viewer = result._record_video_wrapper = None
+        result.observation_type, result.action_type = BirdEyeObservation(result), WaypointAction(result)
+        result._show()
+        return result
 
     def _do(self, work: int, action: NDArray[np.floating] | None = None) -> None:
         actions = None if action is None else np.asarray(action, np.float32)[None]

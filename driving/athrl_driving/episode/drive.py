@@ -5,44 +5,28 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled, part
+from ..by_reference import by_reference
+from ..compilation import compiled, entry, part
 from ..maps.lane_graph import Floats
-from ..metrics import MetricsState, environment_metrics
-from ..perception import Perception, draw_surroundings
-from ..route import RouteState, environment_route
-from ..traffic.by_reference import by_reference
-from ..traffic.state import Traffic, environment_traffic
+from ..metrics import environment_metrics
+from ..perception import draw_surroundings
+from ..route import environment_route
+from ..traffic.state import environment_traffic
+from ..traffic.tick import advance
 from .beginning import begin, clear_decision
 from .ego import HEADING, TARGET_SPEED, WAYPOINT_X, WAYPOINT_Y, X, Y
 from .motion import note_motion
-from .orders import BEGIN, DRIVE, SEE, START, TAKE, TICK, Orders
+from .orders import BEGIN, DRIVE, LOOK, SEE, START, TAKE, TICK, Orders
 from .state import DriveSettings, EpisodeState, Progress, Views
 from .tick import tick
 
 
-@compiled
-def drive(
-    settings: DriveSettings,
-    traffic: Traffic,
-    routes: RouteState,
-    metrics: MetricsState,
-    perception: Perception,
-    progress: Progress,
-    orders: Orders,
-    first: int,
-    last: int,
-) -> None:
-    """Do the work that `orders` have for the environments `first` to `last` - 1.
+@entry
+def drive(state: EpisodeState, orders: Orders, first: int, last: int) -> None:
+    """Do the work that `orders` have for the environments `first` to `last` - 1; both tuples are pinned.
 
-    The other arguments are the fields of `EpisodeState`. No environment touches what belongs to another, so
-    calls on different ones may run at the same time.
+    No environment touches what belongs to another, so calls on different ones may run at the same time.
     """
-    state = EpisodeState(settings, traffic, routes, metrics, perception, progress)
-    _drive_rows(by_reference(state), by_reference(orders), first, last)
-
-
-@part
-def _drive_rows(state: EpisodeState, orders: Orders, first: int, last: int) -> None:
     progress = state.progress
     for e in range(first, last):
         work = orders.work[e]
@@ -61,6 +45,8 @@ def _drive_rows(state: EpisodeState, orders: Orders, first: int, last: int) -> N
             ego, image = progress.ego[e], progress.images[e]
             draw_surroundings(state.perception, views.traffic, views.route, ego, image, progress.lidar[e])
             note_motion(ego, progress.control[e], progress.motion[e])
+        if work & LOOK:
+            advance(views.traffic, progress.ego[e], progress.path[e], 0.0)
 
 
 @part

@@ -17,7 +17,8 @@ from ..perception import Perception
 from ..reward import REWARD_TERMS
 from ..scenarios import places_near
 from .drive import drive
-from .orders import SEE, START, new_orders
+from .orders import LOOK, SEE, START, new_orders
+from .pinned import Pinned
 from .starts import Journeys
 from .state import DriveSettings, EpisodeState, new_state
 
@@ -56,6 +57,7 @@ class Episodes:
         if traffic_near is not None:
             self.state = self.state._replace(traffic=places_near(self.state.traffic, *traffic_near))
         self._orders = new_orders(environments, self.state.traffic.rails.start_link.size)
+        self._pinned: tuple[Any, Any] = Pinned(self.state), Pinned(self._orders)
         self._journeys = journeys
         threads = max(1, min(threads, environments // ROWS_PER_THREAD))
         edges = [environments * chunk // threads for chunk in range(threads + 1)]
@@ -102,15 +104,18 @@ class Episodes:
             self._orders.actions[:] = actions
         self._do()
 
+    def look(self, e: int) -> None:
+        """Find the leader of environment `e`'s ego and its next junction as they are now."""
+        self._orders.work[:] = 0
+        self._orders.work[e] = LOOK
+        drive(*self._pinned, e, e + 1)
+
     def _do(self) -> None:
         if self._pool is None:
-            drive(*self.state, self._orders, 0, len(self))
+            drive(*self._pinned, 0, len(self))
             return
-        others = [
-            self._pool.submit(drive, *self.state, self._orders, first, last)
-            for first, last in self._chunks[1:]
-        ]
-        drive(*self.state, self._orders, *self._chunks[0])
+        others = [self._pool.submit(drive, *self._pinned, first, last) for first, last in self._chunks[1:]]
+        drive(*self._pinned, *self._chunks[0])
         wait(others)
         for other in others:
             other.result()

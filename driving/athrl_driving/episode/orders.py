@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from ..maps.lane_graph import Floats, Integers
 from ..route import PLAN_ROWS
 
-START, BEGIN, TAKE, TICK, DRIVE, SEE = 1, 2, 4, 8, 16, 32
+START, BEGIN, TAKE, TICK, DRIVE, SEE, LOOK = 1, 2, 4, 8, 16, 32, 64
 """Work, to be added up: start an episode; begin a decision; take its action; drive one tick; drive all its
-ticks or until the episode ends; draw the observation."""
+ticks or until the episode ends; draw the observation; find the ego's leader and its next junction."""
 
 DECIDE = BEGIN + TAKE + DRIVE + SEE
 """A whole decision."""

@@ -2,17 +2,16 @@
 
 import math
 
-from highway_env.vehicle.behavior import IDMVehicle
-
 from athrl_driving.compilation import compiled
 
-COMFORT_ACCELERATION = float(IDMVehicle.COMFORT_ACC_MAX)
-COMFORT_DECELERATION = float(-IDMVehicle.COMFORT_ACC_MIN)
-LARGEST_ACCELERATION = float(IDMVehicle.ACC_MAX)
-DISTANCE_WANTED = float(IDMVehicle.DISTANCE_WANTED)
-TIME_WANTED = float(IDMVehicle.TIME_WANTED)
-SPEED_EXPONENT = float(IDMVehicle.DELTA)
-REFERENCE_LENGTH = float(IDMVehicle.LENGTH)
+# highway-env's numbers, written down: some of its environments change its classes' own for the whole process.
+COMFORT_ACCELERATION = 3.0
+COMFORT_DECELERATION = 5.0
+LARGEST_ACCELERATION = 6.0
+DISTANCE_WANTED = 10.0
+TIME_WANTED = 1.5
+SPEED_EXPONENT = 4.0
+REFERENCE_LENGTH = 5.0
 """highway-env's model measures from centre to centre: a gap between bumpers plus this length."""
 
 _LEAST = 0.01

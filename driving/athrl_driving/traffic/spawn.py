@@ -7,9 +7,9 @@ import numpy as np
 from numba import uint64
 from numpy.typing import NDArray
 
+from athrl_driving.by_reference import by_reference
 from athrl_driving.compilation import compiled, inner, part
 from athrl_driving.maps.lane_graph import Floats, Integers
-from athrl_driving.traffic.by_reference import by_reference
 from athrl_driving.traffic.columns import NOBODY, Traffic
 from athrl_driving.traffic.geometry import lane_elevation, lane_pose
 from athrl_driving.traffic.paths import plan_from, splitmix

@@ -6,9 +6,9 @@ beside. All decisions see the state before the tick.
 
 import math
 
+from athrl_driving.by_reference import by_reference
 from athrl_driving.compilation import compiled, inner, part
 from athrl_driving.maps.lane_graph import Floats, Integers
-from athrl_driving.traffic.by_reference import by_reference
 from athrl_driving.traffic.columns import NOBODY, Traffic
 from athrl_driving.traffic.ego import cover_links, follow_path, forget_ego, note_crossing
 from athrl_driving.traffic.following import (
