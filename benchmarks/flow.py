@@ -19,7 +19,7 @@ from athrl_driving.traffic.flow import drive, measure_flow
 from athrl_driving.traffic.spawn import place_vehicles
 from athrl_driving.traffic.state import EGO_FIELDS, new_traffic
 
-CARLA = "/work/shared/towns"
+CARLA = Path(__file__).resolve().parents[2] / "shared" / "towns"
 TICKS_TIMED = 1000
 
 
@@ -55,7 +55,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--maps", nargs="+", help="names of towns or paths of OpenDRIVE files; default: all")
-    parser.add_argument("--carla", type=Path, default=Path(CARLA), help="folder with CARLA's maps")
+    parser.add_argument("--carla", type=Path, default=CARLA, help="folder with CARLA's maps")
     parser.add_argument("--vehicles", type=int, nargs="+", default=[100])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--minutes", type=float, default=10.0, help="simulated minutes a seed")

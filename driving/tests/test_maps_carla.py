@@ -1,18 +1,11 @@
 """CARLA's maps are read whole: the totals are those that were measured on them."""
 
-import os
 from collections import Counter
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from athrl_driving.maps import Town, load_town
-
-FOLDER = Path(os.environ.get("ATHRL_TOWNS", Path(__file__).resolve().parents[3] / "shared" / "towns"))
-pytestmark = pytest.mark.skipif(
-    not FOLDER.exists(),
-    reason=f"CARLA's maps are not in {FOLDER}; set ATHRL_TOWNS to the folder that has them",
-)
+from athrl_driving.maps import Town
 
 
 @pytest.mark.parametrize(
@@ -23,15 +16,17 @@ pytestmark = pytest.mark.skipif(
         ("Town04", 33.15, {3: 14, 4: 13}),
     ],
 )
-def test_totals_are_those_measured(name: str, kilometres: float, arms: dict[int, int]) -> None:
-    town = load_town(FOLDER / f"{name}.xodr")
+def test_totals_are_those_measured(
+    load_any: Callable[[str], Town], name: str, kilometres: float, arms: dict[int, int]
+) -> None:
+    town = load_any(f"{name}.xodr")
     assert town.lane_kilometres == pytest.approx(kilometres, rel=0.01)
     assert town.junction_arms == Counter(arms)
 
 
 @pytest.mark.parametrize(("name", "left_out"), [("Town02", 0.0), ("Town03", 110.0), ("Town04", 110.0)])
-def test_almost_nothing_is_left_out(name: str, left_out: float) -> None:
-    town = load_town(FOLDER / f"{name}.xodr")
+def test_almost_nothing_is_left_out(load_any: Callable[[str], Town], name: str, left_out: float) -> None:
+    town = load_any(f"{name}.xodr")
     assert sum(length for _, _, length in town.left_out) <= left_out
     distinct = dict(zip(town.lane_indices, town.graph.length.tolist(), strict=True))
     driven = sum(distinct.values()) + sum(length for _, _, length in town.left_out)
@@ -43,8 +38,8 @@ def drivers_near(town: Town, x: float, y: float, reach: float) -> np.ndarray:
     return np.flatnonzero(np.hypot(centre[:, 0] - x, centre[:, 1] - y) < reach)
 
 
-def test_the_roundabout_of_town03_turns_left_and_its_entries_yield() -> None:
-    town = load_town(FOLDER / "Town03.xodr")
+def test_the_roundabout_of_town03_turns_left_and_its_entries_yield(load_any: Callable[[str], Town]) -> None:
+    town = load_any("Town03.xodr")
     graph, movements = town.graph, town.movements
     (ring,) = (number for number, junction in enumerate(town.junctions) if junction.kind == "roundabout")
     own = np.array([graph.junction[movements.lane[start]] == ring for start in movements.lane_start[:-1]])
@@ -54,9 +49,9 @@ def test_the_roundabout_of_town03_turns_left_and_its_entries_yield() -> None:
     assert (graph.curvature[rows] < 0.0).mean() > 0.6
 
 
-def test_the_overpass_of_town04_is_no_crossing() -> None:
+def test_the_overpass_of_town04_is_no_crossing(load_any: Callable[[str], Town]) -> None:
     """Near (5, 20) one road passes above another; no movement of one is in the way of the other's."""
-    town = load_town(FOLDER / "Town04.xodr")
+    town = load_any("Town04.xodr")
     graph, movements = town.graph, town.movements
     near = drivers_near(town, 5.0, 20.0, 60.0)
     heights = graph.elevation[near]
@@ -69,7 +64,7 @@ def test_the_overpass_of_town04_is_no_crossing() -> None:
         assert apart.min() < 3.0
 
 
-def test_the_highway_of_town04_has_lanes_to_change_to() -> None:
-    graph = load_town(FOLDER / "Town04.xodr").graph
+def test_the_highway_of_town04_has_lanes_to_change_to(load_any: Callable[[str], Town]) -> None:
+    graph = load_any("Town04.xodr").graph
     beside = (graph.left >= 0) | (graph.right >= 0)
     assert graph.length[beside].sum() > 20_000.0

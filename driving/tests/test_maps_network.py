@@ -1,29 +1,19 @@
 """The network of a town is one on which highway-env's own vehicles drive."""
 
 import itertools
-import os
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from athrl_driving.maps import TOWNS, Town, load_town
+from athrl_driving.maps import TOWNS, Town
 from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 
-CARLA_FOLDER = Path(os.environ.get("ATHRL_TOWNS", Path(__file__).resolve().parents[3] / "shared" / "towns"))
-
 
 @pytest.fixture(scope="module", params=[*TOWNS, "Town03.xodr", "Town04.xodr"])
-def town(request: pytest.FixtureRequest) -> Town:
-    if request.param in TOWNS:
-        return load_town(request.param)
-    path = CARLA_FOLDER / request.param
-    if not path.exists():
-        pytest.skip(
-            f"CARLA's {path.name} is not in {CARLA_FOLDER}; set ATHRL_TOWNS to the folder that has it"
-        )
-    return load_town(path)
+def town(request: pytest.FixtureRequest, load_any: Callable[[str], Town]) -> Town:
+    return load_any(request.param)
 
 
 def test_every_lane_is_one_of_highway_envs(town: Town) -> None:

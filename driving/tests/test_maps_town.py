@@ -2,26 +2,16 @@
 
 import itertools
 import math
-import os
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from athrl_driving.maps import TOWNS, Town, lane_pose, load_town
 
-CARLA_FOLDER = Path(os.environ.get("ATHRL_TOWNS", Path(__file__).resolve().parents[3] / "shared" / "towns"))
-
 
 @pytest.fixture(scope="module", params=[*TOWNS, "Town02.xodr", "Town03.xodr", "Town04.xodr"])
-def town(request: pytest.FixtureRequest) -> Town:
-    if request.param in TOWNS:
-        return load_town(request.param)
-    path = CARLA_FOLDER / request.param
-    if not path.exists():
-        pytest.skip(
-            f"CARLA's {path.name} is not in {CARLA_FOLDER}; set ATHRL_TOWNS to the folder that has it"
-        )
-    return load_town(path)
+def town(request: pytest.FixtureRequest, load_any: Callable[[str], Town]) -> Town:
+    return load_any(request.param)
 
 
 def successors(town: Town, row: int) -> np.ndarray:

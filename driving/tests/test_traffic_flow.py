@@ -1,6 +1,6 @@
 """Traffic flows: nobody collides, nobody waits for ever."""
 
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,8 +9,7 @@ from athrl_driving.traffic import TrafficRoad
 from athrl_driving.traffic.flow import measure_flow, overlapping_pairs
 from highway_env.vehicle.kinematics import Vehicle
 
-CARLA = Path("/work/shared/towns")
-MAPS = [*sorted(TOWNS), *map(str, sorted(CARLA.glob("*.xodr")))]
+MAPS = [*sorted(TOWNS), "Town02.xodr", "Town03.xodr", "Town04.xodr"]
 
 
 @pytest.fixture(scope="module")
@@ -18,11 +17,11 @@ def town() -> Town:
     return load_town("town03")
 
 
-@pytest.mark.parametrize("name", MAPS, ids=[Path(name).stem for name in MAPS])
-def test_a_hundred_vehicles_flow(name: str) -> None:
+@pytest.mark.parametrize("name", MAPS)
+def test_a_hundred_vehicles_flow(load_any: Callable[[str], Town], name: str) -> None:
     dense = "town02" in name.lower()
     for seed in range(3):
-        flow = measure_flow(load_town(name), 100, seed, minutes=2.0)
+        flow = measure_flow(load_any(name), 100, seed, minutes=2.0)
         assert flow.colliding_pairs == 0
         assert flow.share_of_free_flow >= (0.3 if dense else 0.6)
         assert flow.longest_standstill <= (120.0 if dense else 60.0)
