@@ -39,31 +39,23 @@ _KERNEL_FILES = {
 LONGEST_COMPILATION = 600.0
 """Seconds for which a process waits for another one that compiles the same kernels."""
 
+_FEW_FRILLS = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
+
 _PACKAGE = Path(__file__).resolve().parent
 _LOG = logging.getLogger(__name__)
 
 
 def compiled(function: Function) -> Function:
     """Compile a function that Python calls; it frees the interpreter's lock and is kept for later runs."""
-    kept, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder(_family(function))
-    try:
-        return numba.njit(cache=True, nogil=True)(function)
-    finally:
-        numba.config.CACHE_DIR = kept
+    return _kept(function)
 
 
 def entry(function: Function) -> Function:
-    """Compile a function of `part` functions that Python calls with pinned state (`episode.pinned`).
+    """Compile a function of `part` functions that Python calls; its state may be pinned (`episode.pinned`).
 
     Like `part` it counts no references; like `compiled` it is kept, and frees the interpreter's lock.
     """
-    kept, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder(_family(function))
-    try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)(
-            function
-        )
-    finally:
-        numba.config.CACHE_DIR = kept
+    return _kept(function, **_FEW_FRILLS)
 
 
 def inlined(function: Function) -> Function:
@@ -82,9 +74,20 @@ def part(function: Function) -> Function:
     References to arrays are not counted, which costs more than what is done with the arrays, so it makes no
     arrays and returns none. State of many arrays it takes by reference (`by_reference`).
     """
-    return numba.njit(
-        nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
-    )(function)
+    return numba.njit(nogil=True, no_cpython_wrapper=True, **_FEW_FRILLS)(function)
+
+
+def spliced(function: Function) -> Function:
+    """Put a small function, a `part` otherwise, into the functions that call it before these are compiled."""
+    return numba.njit(nogil=True, inline="always", no_cpython_wrapper=True, **_FEW_FRILLS)(function)
+
+
+def _kept(function: Function, **options: Any) -> Function:
+    kept, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder(_family(function))
+    try:
+        return numba.njit(cache=True, nogil=True, **options)(function)
+    finally:
+        numba.config.CACHE_DIR = kept
 
 
 def announce_compilation(kernel: Callable[..., Any], seconds: int) -> None:

@@ -64,10 +64,6 @@ class Piece:
         """The pose at the end."""
         return self.at(self.length)
 
-    def backwards(self) -> "Piece":
-        """Return the same piece driven from its end to its start."""
-        return Piece(self.end.turned_back(), -self.curvature, self.length)
-
 
 def rounded_polyline(corners: list[tuple[float, float, float]]) -> list[Piece]:
     """Return lines through `corners` with rounded corners.

@@ -38,11 +38,6 @@ class WaypointAction(ActionType):
         """The vehicle that can carry the action out."""
         return EgoVehicle
 
-    def physical(self, action: NDArray[np.floating]) -> tuple[float, float]:
-        """(target speed m/s, waypoint angle rad) of a normalised action; it is clipped to [-1, 1]."""
-        speed, angle = (min(max(float(value), -1.0), 1.0) for value in action)
-        return (speed + 1.0) / 2.0 * self.maximum_speed, angle * self.half_angle
-
     def normalised(self, target_speed: float, waypoint_angle: float) -> NDArray[np.float32]:
         """float32 [2] action of a target speed (m/s) and a waypoint angle (rad), clipped to the ranges."""
         action = np.array([2.0 * target_speed / self.maximum_speed - 1.0, waypoint_angle / self.half_angle])

@@ -2,6 +2,7 @@
 
 import math
 
+from athrl_driving.compilation import part, spliced
 from athrl_driving.highway.columns import (
     ACC_MAX,
     ACCELERATION,
@@ -42,7 +43,6 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import (
     FIRST_LANE,
     LANE_COUNT,
@@ -60,7 +60,7 @@ from athrl_driving.highway.neighbours import closing_speed, lane_distance, neigh
 from athrl_driving.highway.routes import next_lane
 
 
-@whole
+@part
 def act_as_controlled(rows: Rows, network: Network, row: int) -> bool:
     """Act as ControlledVehicle does without a new action; False where the route leads nowhere."""
     state, parameters = rows.state, rows.parameters
@@ -71,7 +71,7 @@ def act_as_controlled(rows: Rows, network: Network, row: int) -> bool:
     return True
 
 
-@whole
+@part
 def act_as_idm(
     rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool, row: int
 ) -> bool:
@@ -99,7 +99,7 @@ def act_as_idm(
     return True
 
 
-@part
+@spliced
 def _follow_road(rows: Rows, network: Network, row: int) -> bool:
     """At the end of the target lane choose the next one; False where the route leads nowhere."""
     target = rows.marks[TARGET_LANE, row]
@@ -113,7 +113,7 @@ def _follow_road(rows: Rows, network: Network, row: int) -> bool:
     return True
 
 
-@whole
+@part
 def steering_control(rows: Rows, network: Network, row: int) -> float:
     """Return the steering angle (rad) towards the middle of the target lane."""
     state, parameters = rows.state, rows.parameters
@@ -140,7 +140,7 @@ def steering_control(rows: Rows, network: Network, row: int) -> float:
     return clip(angle, -most, most)
 
 
-@whole
+@part
 def desired_acceleration(
     rows: Rows, network: Network, scratch: Scratch, judge: int, row: int, front: int
 ) -> float:
@@ -165,7 +165,7 @@ def desired_acceleration(
     return acceleration
 
 
-@part
+@spliced
 def _linear_acceleration(rows, network, scratch, judge, row, front):  # type: ignore[no-untyped-def]
     if row == NONE:
         return 0.0
@@ -182,7 +182,7 @@ def _linear_acceleration(rows, network, scratch, judge, row, front):  # type: ig
     return acceleration
 
 
-@part
+@spliced
 def _desired_gap(rows: Rows, scratch: Scratch, judge: int, row: int, front: int) -> float:
     """Return the distance (m) that IDM wants between `row` and `front`, by the judge's parameters."""
     parameters = rows.parameters
@@ -193,7 +193,7 @@ def _desired_gap(rows: Rows, scratch: Scratch, judge: int, row: int, front: int)
     return gap + speed * closing / (2.0 * math.sqrt(product))
 
 
-@part
+@spliced
 def _abort_lane_change(rows: Rows, network: Network, scratch: Scratch, vehicles: int, row: int) -> None:
     """Stay on the lane where another one close ahead is changing to the same lane."""
     marks = rows.marks
@@ -211,7 +211,7 @@ def _abort_lane_change(rows: Rows, network: Network, scratch: Scratch, vehicles:
             return
 
 
-@part
+@spliced
 def _choose_lane(
     rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int
 ) -> None:
@@ -231,7 +231,7 @@ def _choose_lane(
             rows.marks[TARGET_LANE, row] = candidate
 
 
-@whole
+@part
 def _is_worthwhile(
     rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, row: int, candidate: int
 ) -> bool:
@@ -264,12 +264,12 @@ def _is_worthwhile(
     return not gain < parameters[LANE_CHANGE_MIN_ACC_GAIN, row]
 
 
-@part
+@spliced
 def _sign(number):  # type: ignore[no-untyped-def]
     return (number > 0) - (number < 0)
 
 
-@whole
+@part
 def act_all(
     rows: Rows, network: Network, scratch: Scratch, vehicles: int, count: int, connected: bool
 ) -> int:

@@ -2,6 +2,7 @@
 
 import math
 
+from athrl_driving.compilation import part, spliced
 from athrl_driving.highway.columns import (
     CHECK_COLLISIONS,
     COLLIDABLE,
@@ -21,10 +22,9 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
-from athrl_driving.highway.compiling import part, whole
 
 
-@whole
+@part
 def collide_all(rows: Rows, scratch: Scratch, vehicles: int, count: int, dt: float) -> None:
     """Handle collisions of every vehicle with the later ones, then with all objects, as highway-env does."""
     x, y, radius = scratch.x, scratch.y, scratch.radius
@@ -49,7 +49,7 @@ def collide_all(rows: Rows, scratch: Scratch, vehicles: int, count: int, dt: flo
                 _collide(rows, scratch, row, other, dt)
 
 
-@whole
+@part
 def _collide(rows: Rows, scratch: Scratch, row: int, other: int, dt: float) -> None:
     marks, state = rows.marks, rows.state
     if not (marks[CHECK_COLLISIONS, row] or marks[CHECK_COLLISIONS, other]):
@@ -80,13 +80,13 @@ def _collide(rows: Rows, scratch: Scratch, row: int, other: int, dt: float) -> N
             marks[HIT, other] = 1
 
 
-@part
+@spliced
 def _push(rows: Rows, row: int, push_x: float, push_y: float) -> None:
     rows.state[IMPACT_X, row], rows.state[IMPACT_Y, row] = push_x, push_y
     rows.marks[HAS_IMPACT, row] = 1
 
 
-@whole
+@part
 def boxes_touching(rows, scratch, row, other, dt):  # type: ignore[no-untyped-def]
     """Return whether two boxes touch, whether they will within dt seconds, and the push (m) that parts them.
 
@@ -134,7 +134,7 @@ def boxes_touching(rows, scratch, row, other, dt):  # type: ignore[no-untyped-de
     return touches, will_touch, least * push_x, least * push_y
 
 
-@part
+@spliced
 def _write_corners(rows, corners, first, row):  # type: ignore[no-untyped-def]
     """Write a box's corners (x, y in m) in highway-env's order, the first one again at the end."""
     cosine, sine = math.cos(rows.state[HEADING, row]), math.sin(rows.state[HEADING, row])
@@ -146,14 +146,14 @@ def _write_corners(rows, corners, first, row):  # type: ignore[no-untyped-def]
         corners[first + corner, 1] = sine * forward + cosine * sideways + y
 
 
-@part
+@spliced
 def _mean(corners, first, coordinate):  # type: ignore[no-untyped-def]
     total = corners[first, coordinate] + corners[first + 1, coordinate]
     total += corners[first + 2, coordinate]
     return (total + corners[first + 3, coordinate]) / 4.0
 
 
-@part
+@spliced
 def _projection(corners, first, axis_x, axis_y):  # type: ignore[no-untyped-def]
     """Return the least and greatest of a box's corners along an axis, m."""
     low, high = math.inf, -math.inf
@@ -163,6 +163,6 @@ def _projection(corners, first, axis_x, axis_y):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@part
+@spliced
 def _interval_distance(low, high, second_low, second_high):  # type: ignore[no-untyped-def]
     return second_low - high if low < second_low else low - second_high

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from athrl_driving.compilation import entry, part, spliced
 from athrl_driving.highway.columns import Floats, Integers
-from athrl_driving.highway.compiling import entry, part, whole
 from athrl_driving.highway.lanes import (
     AMPLITUDE,
     CIRCULAR,
@@ -115,7 +115,7 @@ def fill_grid(
                     cell_lane[start[cell] + place] = fine[place]
 
 
-@whole
+@part
 def _choose(lanes, among, count, x, y, half_side, lower, chosen):  # type: ignore[no-untyped-def]
     """Write the lanes that can be the closest in a square into `chosen`; return how many."""
     radius = half_side * math.sqrt(2.0)
@@ -131,7 +131,7 @@ def _choose(lanes, among, count, x, y, half_side, lower, chosen):  # type: ignor
     return written
 
 
-@whole
+@part
 def _bounds(lanes, lane, x, y, radius):  # type: ignore[no-untyped-def]
     """Return the least and the greatest distance from a lane within `radius` of a point, or wider bounds."""
     if lanes[lane, SHAPE] != CIRCULAR:
@@ -163,7 +163,7 @@ def _bounds(lanes, lane, x, y, radius):  # type: ignore[no-untyped-def]
     return max(beside - radius, 0.0) + least, beside + radius + most
 
 
-@part
+@spliced
 def _excess(first, last, scale, length):  # type: ignore[no-untyped-def]
     """Return the least and greatest distance before or behind a lane over an interval of phases."""
     low, high = min(first * scale, last * scale), max(first * scale, last * scale)

@@ -3,10 +3,10 @@
 import math
 
 from athrl_driving.by_reference import by_reference
+from athrl_driving.compilation import entry
 from athrl_driving.highway.behaviour import act_all
 from athrl_driving.highway.collisions import collide_all
 from athrl_driving.highway.columns import FAILED_ROW, LANE, NONE, Floats, Integers, Rows, Scratch
-from athrl_driving.highway.compiling import entry
 from athrl_driving.highway.lanes import Network, closest_lane, lane_coordinates
 from athrl_driving.highway.motion import move_all
 from athrl_driving.highway.neighbours import begin_frame, neighbours

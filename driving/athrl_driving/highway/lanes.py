@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
+from athrl_driving.compilation import part, spliced
 from athrl_driving.highway.columns import Floats, Integers
-from athrl_driving.highway.compiling import part, whole
 
 # float64 [L, LANE_COLUMNS]
 SHAPE = 0
@@ -68,7 +68,7 @@ class Network(NamedTuple):
     """m, from their coordinate to the lane's."""
 
 
-@part
+@spliced
 def wrap_to_pi(angle):  # type: ignore[no-untyped-def]
     """Wrap an angle as highway-env does."""
     turned = angle + math.pi
@@ -77,7 +77,7 @@ def wrap_to_pi(angle):  # type: ignore[no-untyped-def]
     return turned % (2.0 * math.pi) - math.pi
 
 
-@part
+@spliced
 def not_zero(value):  # type: ignore[no-untyped-def]
     """Keep a divisor away from zero as highway-env does."""
     if abs(value) > 1e-2:
@@ -85,13 +85,13 @@ def not_zero(value):  # type: ignore[no-untyped-def]
     return 1e-2 if value >= 0.0 else -1e-2
 
 
-@part
+@spliced
 def clip(value, low, high):  # type: ignore[no-untyped-def]
     """Clip as NumPy does."""
     return min(max(value, low), high)
 
 
-@whole
+@part
 def lane_coordinates(lanes: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
     """Return the longitudinal and lateral coordinates (m) of a position on a lane."""
     east, south = x - lanes[lane, ORIGIN_X], y - lanes[lane, ORIGIN_Y]
@@ -108,7 +108,7 @@ def lane_coordinates(lanes: Floats, lane: int, x: float, y: float) -> tuple[floa
     return along, beside
 
 
-@whole
+@part
 def lane_heading(lanes: Floats, lane: int, along: float) -> float:
     """Return a lane's heading (rad) at a longitudinal coordinate (m)."""
     if lanes[lane, SHAPE] == STRAIGHT:
@@ -122,7 +122,7 @@ def lane_heading(lanes: Floats, lane: int, along: float) -> float:
     return lanes[lane, LANE_HEADING] + math.atan(slope)
 
 
-@whole
+@part
 def lane_centre(lanes: Floats, lane: int, along: float) -> tuple[float, float]:
     """Return the point (x, y in m) on a lane's centre line at a longitudinal coordinate (m)."""
     x, y = lanes[lane, ORIGIN_X], lanes[lane, ORIGIN_Y]
@@ -138,14 +138,14 @@ def lane_centre(lanes: Floats, lane: int, along: float) -> tuple[float, float]:
     return x, y
 
 
-@whole
+@part
 def distance_to_lane(lanes: Floats, lane: int, x: float, y: float) -> float:
     """Return highway-env's distance (m) of a position from a lane: beside it plus before or after it."""
     along, beside = lane_coordinates(lanes, lane, x, y)
     return abs(beside) + max(along - lanes[lane, LANE_LENGTH], 0.0) + max(-along, 0.0)
 
 
-@whole
+@part
 def is_reachable_from(lanes: Floats, lane: int, x: float, y: float) -> bool:
     """Return whether highway-env lets a vehicle change to a lane from a position."""
     if lanes[lane, FORBIDDEN] != 0.0:
@@ -155,13 +155,13 @@ def is_reachable_from(lanes: Floats, lane: int, x: float, y: float) -> bool:
     return is_beside and 0.0 <= along < lanes[lane, LANE_LENGTH] + lanes[lane, VEHICLE_LENGTH]
 
 
-@part
+@spliced
 def is_after_end(lanes, lane, along):  # type: ignore[no-untyped-def]
     """Return whether a longitudinal coordinate (m) is so near a lane's end that the next one is followed."""
     return along > lanes[lane, LANE_LENGTH] - lanes[lane, VEHICLE_LENGTH] / 2.0
 
 
-@whole
+@part
 def closest_lane(network: Network, x: float, y: float, heading: float, likely: int) -> int:
     """Return the closest lane to a pose (m, rad), of equals the first; `likely` is where to look first."""
     lanes = network.lanes
@@ -186,7 +186,7 @@ def closest_lane(network: Network, x: float, y: float, heading: float, likely: i
     return best_lane
 
 
-@whole
+@part
 def _weighed_distance(lanes, lane, x, y, heading, limit):  # type: ignore[no-untyped-def]
     """Return the distance plus the angle between headings; above the limit only something above it."""
     if lanes[lane, SHAPE] == CIRCULAR:

@@ -2,6 +2,7 @@
 
 import math
 
+from athrl_driving.compilation import part, spliced
 from athrl_driving.highway.columns import (
     ACCELERATION,
     BICYCLE,
@@ -33,11 +34,10 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import Network, clip, closest_lane
 
 
-@whole
+@part
 def move_all(rows: Rows, network: Network, vehicles: int, dt: float) -> None:
     """Move all vehicles by dt seconds and find their lanes."""
     marks, state, position = rows.marks, rows.state, rows.position
@@ -53,7 +53,7 @@ def move_all(rows: Rows, network: Network, vehicles: int, dt: float) -> None:
         marks[LANE, row] = closest_lane(network, x, y, state[HEADING, row], marks[LANE, row])
 
 
-@part
+@spliced
 def clip_action(rows: Rows, row: int) -> None:
     """Let a crashed vehicle brake, and keep speeds within their bounds."""
     state = rows.state
@@ -71,7 +71,7 @@ def clip_action(rows: Rows, row: int) -> None:
         state[YAW_RATE, row] = clip(state[YAW_RATE, row], -quickest, quickest)
 
 
-@part
+@spliced
 def _move(rows: Rows, row: int, dt: float) -> None:
     state, position = rows.state, rows.position
     speed, heading = state[SPEED, row], state[HEADING, row]
@@ -86,7 +86,7 @@ def _move(rows: Rows, row: int, dt: float) -> None:
     state[SPEED, row] += state[ACCELERATION, row] * dt
 
 
-@whole
+@part
 def _move_dynamically(rows: Rows, row: int, dt: float) -> None:
     """Integrate the dynamic model by the fourth-order Runge-Kutta method."""
     state, position = rows.state, rows.position
@@ -111,7 +111,7 @@ def _move_dynamically(rows: Rows, row: int, dt: float) -> None:
     state[YAW_RATE, row] = start[5] + sixth * (one[5] + 2.0 * two[5] + 2.0 * three[5] + four[5])
 
 
-@part
+@spliced
 def _advanced(start, change, step):  # type: ignore[no-untyped-def]
     return (
         start[0] + change[0] * step,
@@ -123,7 +123,7 @@ def _advanced(start, change, step):  # type: ignore[no-untyped-def]
     )
 
 
-@whole
+@part
 def _derivative(rows, row, moving):  # type: ignore[no-untyped-def]
     """Return how position, heading, speed, lateral speed and yaw rate change, a second."""
     parameters = rows.parameters
@@ -149,7 +149,7 @@ def _derivative(rows, row, moving):  # type: ignore[no-untyped-def]
     )
 
 
-@whole
+@part
 def predict_steering(rows: Rows, scratch: Scratch, row: int, spacing: float) -> None:
     """Predict an uncontrolled vehicle's trajectory by moving it with constant steering, and put it back."""
     marks, state, position = rows.marks, rows.state, rows.position

@@ -7,6 +7,7 @@ Of vehicles abreast, highway-env's loop prefers the last of the list in front an
 
 import math
 
+from athrl_driving.compilation import part, spliced
 from athrl_driving.highway.columns import (
     FRAME,
     HEADING,
@@ -20,7 +21,6 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import (
     AMPLITUDE,
     CIRCULAR,
@@ -43,7 +43,7 @@ MARGIN = 1.0
 """m beside a lane within which a vehicle still counts as on it."""
 
 
-@part
+@spliced
 def begin_frame(rows: Rows, network: Network, scratch: Scratch, count: int) -> None:
     """Note where everything is, and forget the lists of the frame before."""
     for row in range(count):
@@ -56,7 +56,7 @@ def begin_frame(rows: Rows, network: Network, scratch: Scratch, count: int) -> N
     scratch.counters[POOL_USED] = 0
 
 
-@whole
+@part
 def neighbours(
     rows: Rows,
     network: Network,
@@ -99,7 +99,7 @@ def neighbours(
     return front, rear
 
 
-@whole
+@part
 def _list_lane(
     rows: Rows, network: Network, scratch: Scratch, count: int, connected: bool, lane: int
 ) -> None:
@@ -120,7 +120,7 @@ def _list_lane(
     scratch.counters[POOL_USED] = end
 
 
-@whole
+@part
 def _list_rows(
     rows: Rows,
     network: Network,
@@ -157,7 +157,7 @@ def _list_rows(
     return end
 
 
-@whole
+@part
 def _mark_near(lanes, lane, x, y, near, count):  # type: ignore[no-untyped-def]
     """Mark who can be on a lane, by what is found out for several at a time; return how many that are."""
     room = lanes[lane, LANE_WIDTH] / 2.0 + MARGIN + SLACK
@@ -185,14 +185,14 @@ def _mark_near(lanes, lane, x, y, near, count):  # type: ignore[no-untyped-def]
     return number
 
 
-@part
+@spliced
 def lane_distance(rows: Rows, network: Network, scratch: Scratch, row: int, other: int) -> float:
     """Return how far `other` is before `row`, m along the lane of `row`."""
     lane = rows.marks[LANE, row]
     return lane_coordinates(network.lanes, lane, scratch.x[other], scratch.y[other])[0] - scratch.along[row]
 
 
-@part
+@spliced
 def closing_speed(rows: Rows, scratch: Scratch, row: int, other: int) -> float:
     """Return how fast `row` comes nearer to `other`, m/s in the direction of `row`."""
     speed, other_speed = rows.state[SPEED, row], rows.state[SPEED, other]

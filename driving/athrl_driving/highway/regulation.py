@@ -2,6 +2,7 @@
 
 import math
 
+from athrl_driving.compilation import part, spliced
 from athrl_driving.highway.columns import (
     BICYCLE,
     CONTROLLED,
@@ -20,7 +21,6 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import PRIORITY, SPEED_LIMIT, Network
 from athrl_driving.highway.motion import predict_steering
 from athrl_driving.highway.routes import predict_on_route
@@ -31,7 +31,7 @@ SLACK = 1e-6
 """m, for rounding."""
 
 
-@whole
+@part
 def enforce_road_rules(
     rows: Rows, network: Network, scratch: Scratch, vehicles: int, yield_duration: float
 ) -> int:
@@ -69,7 +69,7 @@ def enforce_road_rules(
     return NONE
 
 
-@part
+@spliced
 def _stop(rows: Rows, row: int) -> None:
     marks = rows.marks
     if marks[KIND, row] >= CONTROLLED and not marks[IS_MDP, row]:
@@ -78,7 +78,7 @@ def _stop(rows: Rows, row: int) -> None:
         marks[IS_YIELDING, row] = marks[HAS_YIELDED, row] = 1
 
 
-@part
+@spliced
 def _yielding(rows: Rows, network: Network, first: int, second: int) -> int:
     """Return who yields: who has the lower priority, else who has the other one further in front."""
     marks, position = rows.marks, rows.position
@@ -93,7 +93,7 @@ def _yielding(rows: Rows, network: Network, first: int, second: int) -> int:
     return first if ahead_of_first > ahead_of_second else second
 
 
-@whole
+@part
 def _predict(rows: Rows, network: Network, scratch: Scratch, row: int) -> bool:
     """Predict where a vehicle will be at constant speed; False where its route leads nowhere."""
     trajectory, reach = scratch.trajectory, scratch.reach
@@ -110,7 +110,7 @@ def _predict(rows: Rows, network: Network, scratch: Scratch, row: int) -> bool:
     return True
 
 
-@whole
+@part
 def _is_conflict_possible(rows: Rows, scratch: Scratch, first: int, second: int) -> bool:
     """Return whether two predicted trajectories meet."""
     trajectory = scratch.trajectory
@@ -127,7 +127,7 @@ def _is_conflict_possible(rows: Rows, scratch: Scratch, first: int, second: int)
     return False
 
 
-@whole
+@part
 def _has_corner_inside(rows, trajectory, point, first, second):  # type: ignore[no-untyped-def]
     """Return whether a corner, a side's middle or the centre of the first box is inside the second."""
     half_length = 1.5 * rows.parameters[LENGTH, first] / 2.0

@@ -2,6 +2,7 @@
 
 import math
 
+from athrl_driving.compilation import part, spliced
 from athrl_driving.highway.columns import (
     LANE,
     NONE,
@@ -12,7 +13,6 @@ from athrl_driving.highway.columns import (
     Rows,
     Scratch,
 )
-from athrl_driving.highway.compiling import part, whole
 from athrl_driving.highway.lanes import (
     FIRST_LANE,
     FROM_NODE,
@@ -27,7 +27,7 @@ from athrl_driving.highway.lanes import (
 )
 
 
-@part
+@spliced
 def road_between(network: Network, origin: int, destination: int) -> int:
     """Return the road from one node to another, or NONE."""
     if not 0 <= origin < len(network.node_roads):
@@ -39,7 +39,7 @@ def road_between(network: Network, origin: int, destination: int) -> int:
     return NONE
 
 
-@whole
+@part
 def next_lane(rows: Rows, network: Network, row: int, lane: int, along: float) -> int:
     """Return the lane to follow after `lane`, on which the vehicle is at `along` (m).
 
@@ -70,7 +70,7 @@ def next_lane(rows: Rows, network: Network, row: int, lane: int, along: float) -
     return best_lane
 
 
-@whole
+@part
 def _lane_of_road(network: Network, lane: int, following: int, number: int, x: float, y: float) -> int:
     """Return the lane of the following road: the planned one, the same one, or the one that is closest."""
     roads = network.roads
@@ -88,7 +88,7 @@ def _lane_of_road(network: Network, lane: int, following: int, number: int, x: f
     return best_lane
 
 
-@whole
+@part
 def lane_of_route(rows: Rows, network: Network, row: int, place: int) -> int:
     """Return the lane at a place of a route (the vehicle's own where it has none), or NONE."""
     lane = rows.marks[LANE, row]
@@ -103,7 +103,7 @@ def lane_of_route(rows: Rows, network: Network, row: int, place: int) -> int:
     return network.roads[road, FIRST_LANE] + number
 
 
-@whole
+@part
 def predict_on_route(rows: Rows, network: Network, scratch: Scratch, row: int, spacing: float) -> bool:
     """Predict where a vehicle will be that follows its route's lanes at constant speed, `spacing` s apart.
 

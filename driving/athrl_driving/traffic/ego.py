@@ -130,13 +130,6 @@ def note_crossing(right_of_way: RightOfWay, covered: EgoOnLinks, row: int, lengt
 
 
 @inlined
-def ego_leader(traffic: Traffic) -> tuple[float, float]:
-    """Return (gap m, speed m/s) of the next vehicle on the ego's path after a look; (inf, 0) without one."""
-    row = traffic.background.lane.shape[0]
-    return float(traffic.scratch.gap[row]), float(traffic.scratch.leader_speed[row])
-
-
-@inlined
 def ego_may_enter(traffic: Traffic) -> bool:
     """Tell whether the ego holds the next movement on its path, or none is near, as of the last look."""
     row = traffic.background.lane.shape[0]
