@@ -4,6 +4,8 @@ import socket
 import subprocess
 from pathlib import Path
 
+import pytest
+
 CLIENTS = ["actor", "evaluator", "status", "watch"]
 SECONDS = 60.0
 """A machine at work with other things needs that long; by itself each takes two or three seconds."""
@@ -32,6 +34,21 @@ def test_wrong_value_is_named_with_what_is_expected(command) -> None:
     assert_one_line(
         command.run("train", "--set", "learner.batch=none", seconds=SECONDS), "learner.batch", "none"
     )
+
+
+@pytest.mark.parametrize("words", [["train"], ["evaluate", "--policy", "blind", "--episodes", "2"]])
+def test_map_that_is_none_is_named_with_its_line(command, tmp_path: Path, words: list[str]) -> None:
+    (tmp_path / "mine.xodr").write_text("<town/>")
+    result = command.run(*words, "--set", "environment.town=mine.xodr", seconds=SECONDS)
+    assert_one_line(result, "mine.xodr", "line 1", "OpenDRIVE")
+    result = command.run(*words, "--set", "environment.town=gone.xodr", seconds=SECONDS)
+    assert_one_line(result, "gone.xodr", "no such file")
+
+
+@pytest.mark.parametrize("words", [["train"], ["evaluate", "--policy", "blind", "--episodes", "2"]])
+def test_more_vehicles_than_the_town_has_room_for_are_refused(command, words: list[str]) -> None:
+    settings = ["--set", "environment.town=town02", "--set", "environment.vehicles=1000"]
+    assert_one_line(command.run(*words, *settings, seconds=SECONDS), "1000", "room for")
 
 
 def test_missing_run_file_is_named(command) -> None:

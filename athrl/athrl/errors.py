@@ -10,6 +10,7 @@ from contextlib import contextmanager
 # image has only its own service.
 _EXPECTED = (
     ("athrl_protocol", "ProtocolError"),
+    ("athrl_driving.errors", "DrivingError"),
     ("athrl_driving.policy", "InvalidPolicy"),
     ("athrl_learner", "LearnerError"),
 )

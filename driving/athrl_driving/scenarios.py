@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .errors import DrivingError
 from .maps import lane_pose
 from .traffic.state import Traffic
 
@@ -52,6 +53,6 @@ def places_near(traffic: Traffic, x: float, y: float, radius: float) -> Traffic:
         at_x, at_y, _ = lane_pose(graph, row, float(position - rails.link_offset[row]))
         near[place] = math.hypot(at_x - x, at_y - y) <= radius
     if not near.any():
-        raise ValueError(f"vehicles cannot start within {radius:g} m of ({x:g}, {y:g}): there is no lane")
+        raise DrivingError(f"vehicles cannot start within {radius:g} m of ({x:g}, {y:g}): there is no lane")
     rails = rails._replace(start_link=rails.start_link[near], start_position=rails.start_position[near])
     return traffic._replace(rails=rails)

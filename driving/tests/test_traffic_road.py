@@ -66,9 +66,8 @@ def test_the_start_of_the_ego_is_clear(town: Town) -> None:
 
 
 def test_too_many_vehicles_are_refused_in_one_line(town: Town) -> None:
-    road = TrafficRoad(town, 5000, np_random=np.random.default_rng(0))
     with pytest.raises(ValueError, match=r"vehicles_count is 5000, but the town has room for \d+ at most"):
-        road.spawn_background()
+        TrafficRoad(town, 5000, np_random=np.random.default_rng(0))
     with pytest.raises(ValueError, match="vehicles_count is -1"):
         TrafficRoad(town, -1, np_random=np.random.default_rng(0))
 

@@ -16,7 +16,7 @@ from athrl.options import CertificatesOption, RunFileOption, SetOption, override
 from athrl.stopping import stop_on_signal
 from athrl.train.closing import comparison_table, read_comparison
 from athrl.train.display import Display
-from athrl.train.plan import Plan, actors_that_fit, require_map, require_services
+from athrl.train.plan import Plan, actors_that_fit, require_services, require_world
 from athrl.train.session import TrainingSession
 from athrl.train.supervisor import Supervisor
 
@@ -50,7 +50,7 @@ def train(
     require_services()
     plan = _plan(run_file, overrides(settings), name, resume)
     use_certificates(plan.settings.network.certificates)
-    require_map(plan.settings.environment.town)
+    require_world(plan.settings.environment)
     began = time.time()
     with Display() as display:
         supervisor = Supervisor(display.say)

@@ -8,7 +8,7 @@ import socket
 from collections.abc import Sequence
 from pathlib import Path
 
-from athrl_protocol.run_file import RunFile
+from athrl_protocol.run_file import EnvironmentSection, RunFile
 
 from athrl import runs
 from athrl.errors import CommandError
@@ -34,16 +34,16 @@ def require_services() -> None:
             )
 
 
-def require_map(town: str) -> None:
-    """Raise `CommandError`, in one line, for a map file that no actor could drive in."""
-    if not town.endswith(".xodr"):
-        return
+def require_world(environment: EnvironmentSection) -> None:
+    """Raise an error of one line for a map that no actor could drive in, or one with too little room."""
     from athrl_driving.maps import load_town
+    from athrl_driving.traffic import starting_places
 
-    try:
-        load_town(town)
-    except ValueError as error:
-        raise CommandError(f"environment.town: {error}") from None
+    places = starting_places(load_town(environment.town))
+    if environment.vehicles > places:
+        raise CommandError(
+            f"environment.vehicles is {environment.vehicles}, {environment.town} has room for {places}"
+        )
 
 
 class Plan:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..episode import DriveSettings, Episodes
 from ..episode.starts import RANDOM, Journeys, place_on_map
+from ..errors import DrivingError
 from ..maps import Town, load_town
 from ..perception import EGO_ABOVE_LOWER_EDGE, LIDAR_RANGE, RAYS, WINDOW_SIDE, new_perception
 from ..scenarios import SCENARIOS
@@ -61,7 +62,7 @@ def first_settings(defaults: Mapping[str, Any], scenario: str | None) -> dict[st
     if scenario is None:
         return dict(defaults)
     if scenario not in SCENARIOS:
-        raise ValueError(f"there is no case study {scenario!r}, there are {', '.join(SCENARIOS)}")
+        raise DrivingError(f"there is no case study {scenario!r}, there are {', '.join(SCENARIOS)}")
     return {**defaults, **SCENARIOS[scenario]}
 
 
@@ -74,14 +75,14 @@ def changed_settings(
     """
     given = dict(changes or {})
     if map_name == "":
-        raise ValueError("no map was named: give map='PATH.xodr', an OpenDRIVE file, or the name of a town")
+        raise DrivingError("no map was named: give map='PATH.xodr', an OpenDRIVE file, or the name of a town")
     if map_name is not None and given.setdefault("town", map_name) != map_name:
-        raise ValueError(f"the environment is of {map_name}, but its setting town is {given['town']!r}")
+        raise DrivingError(f"the environment is of {map_name}, but its setting town is {given['town']!r}")
     for key in given:
         if key not in present:
             near = difflib.get_close_matches(key, present, n=1)
             hint = f", did you mean {near[0]!r}?" if near else ""
-            raise ValueError(f"the environment has no setting {key!r}{hint}")
+            raise DrivingError(f"the environment has no setting {key!r}{hint}")
     settings = {**present, **given}
     _check(settings)
     # highway-env's word for decisions per second; it is no setting, but follows from two that are.
@@ -95,22 +96,26 @@ def _check(settings: Mapping[str, Any]) -> None:
         accepted = (int,) if kind is int else (int, float)
         if isinstance(value, bool) or not isinstance(value, accepted) or not low <= value <= high:
             noun = "a whole number" if kind is int else "a number"
-            raise ValueError(f"the setting {key} is {value!r}, it should be {noun} from {low:g} to {high:g}")
+            raise DrivingError(
+                f"the setting {key} is {value!r}, it should be {noun} from {low:g} to {high:g}"
+            )
     for key in ("start", "destination"):
         if settings[key] is not None and not _is_place(settings[key], key == "destination"):
             choice = ', "random"' if key == "destination" else ""
-            raise ValueError(
+            raise DrivingError(
                 f"the setting {key} is {settings[key]!r}, "
                 f"it should be None{choice} or (road name, lane id, metres along it)"
             )
     near = settings["traffic_near"]
     if near is not None and not (_are_numbers(near) and len(near) == 3 and near[2] > 0):
-        raise ValueError(
+        raise DrivingError(
             f"the setting traffic_near is {near!r}, it should be None or (x, y, radius) in metres"
         )
     for key, expected in (("observation", "BirdEyeObservation"), ("action", "WaypointAction")):
         if settings[key] != {"type": expected}:
-            raise ValueError(f"the setting {key} is {settings[key]!r}, it should be {{'type': {expected!r}}}")
+            raise DrivingError(
+                f"the setting {key} is {settings[key]!r}, it should be {{'type': {expected!r}}}"
+            )
 
 
 def _is_place(value: Any, may_be_random: bool) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import compiled_once
+from ..errors import DrivingError
 from ..maps import Town
 from ..metrics import summary
 from ..perception import Perception
@@ -92,7 +93,7 @@ class Episodes:
         self._do()
         vehicles, placed = self.state.traffic.background.lane.shape[1], orders.placed[rows].min(initial=10**9)
         if placed < vehicles:
-            raise ValueError(f"vehicles_count is {vehicles}, but the town has room for {placed} at most")
+            raise DrivingError(f"vehicles_count is {vehicles}, but the town has room for {placed} at most")
 
     def work(self, work: int | NDArray[np.int64], actions: NDArray[np.float32] | None = None) -> None:
         """Do `work`, int64 [E] or the same in all environments (see `episode.orders`).

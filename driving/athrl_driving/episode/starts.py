@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import DrivingError
 from ..maps import Town
 from ..metrics import COMPLETION_SPEED
 from ..route import PLAN_ROWS, dead_end_distance, plan_length, shortest_route
@@ -66,7 +67,7 @@ class Journeys:
                 return self._lead(row, s, self._anywhere(generator))
             except ValueError:
                 continue
-        raise ValueError(f"no way leads from lane {row} of the map to any of {_ATTEMPTS} places on it")
+        raise DrivingError(f"no way leads from lane {row} of the map to any of {_ATTEMPTS} places on it")
 
     def _anywhere(self, generator: np.random.Generator) -> Place:
         place = generator.random() * self._ends[-1]
@@ -78,7 +79,7 @@ class Journeys:
         goal, goal_s = destination
         plan = shortest_route(self._graph, row, goal, around=goal == row and goal_s <= s)
         if plan.size > PLAN_ROWS:
-            raise ValueError(f"the way to the destination has {plan.size} lanes, it may have {PLAN_ROWS}")
+            raise DrivingError(f"the way to the destination has {plan.size} lanes, it may have {PLAN_ROWS}")
         way = plan_length(self._graph, plan, s, goal_s)
         return Journey(np.array([row, s, goal_s, max(way, 1.0)]), plan)
 
@@ -92,18 +93,18 @@ def place_on_map(town: Town, place: tuple[str, int, float]) -> Place:
     road, lane, s = place
     roads = np.array(town.road_name) == road
     if not roads.any():
-        raise ValueError(f"the map {town.name} has no road {road!r}")
+        raise DrivingError(f"the map {town.name} has no road {road!r}")
     rows = np.flatnonzero(roads & (town.lane_id == lane))
     if not rows.size:
         lanes = ", ".join(str(each) for each in np.unique(town.lane_id[roads]))
-        raise ValueError(f"the road {road!r} of {town.name} has no lane {lane}, its lanes are {lanes}")
+        raise DrivingError(f"the road {road!r} of {town.name} has no lane {lane}, its lanes are {lanes}")
     chain = _chain(town, rows)
     end = 0.0
     for row in chain:
         if s <= end + town.graph.length[row] and s >= 0.0:
             return row, float(s - end)
         end += float(town.graph.length[row])
-    raise ValueError(f"lane {lane} of the road {road!r} of {town.name} is {end:.1f} m long, not {s:g} m")
+    raise DrivingError(f"lane {lane} of the road {road!r} of {town.name} is {end:.1f} m long, not {s:g} m")
 
 
 def _chain(town: Town, rows: NDArray[np.int64]) -> list[int]:

@@ -86,7 +86,7 @@ def load_town(name: str | os.PathLike[str]) -> Town:
         path = Path(name)
     elif str(name) not in TOWNS:
         towns = ", ".join(TOWNS)
-        raise ValueError(
+        raise MapError(
             f"there is no town named {str(name)!r}; choose one of: {towns}, or a file's path (.xodr)"
         )
     try:

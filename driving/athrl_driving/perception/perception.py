@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import compiled, inlined
+from ..errors import DrivingError
 from ..maps import Town
 from ..maps.lane_graph import Floats
 from ..route.state import RouteState, environment_route
@@ -53,16 +54,18 @@ def new_perception(
     Raises ValueError, in one line, for a value that cannot be.
     """
     if not 4.0 <= window_side <= 1000.0:
-        raise ValueError(f"the setting window_side is {window_side!r}, it should be from 4 to 1000 m")
+        raise DrivingError(f"the setting window_side is {window_side!r}, it should be from 4 to 1000 m")
     if not 0.0 <= ego_above_lower_edge <= window_side:
-        raise ValueError(
+        raise DrivingError(
             f"the setting ego_above_lower_edge is {ego_above_lower_edge!r}, "
             f"it should be from 0 to the window's side of {window_side:g} m"
         )
     if not 0.0 < lidar_range <= 1000.0:
-        raise ValueError(f"the setting lidar_range is {lidar_range!r}, it should be above 0, at most 1000 m")
+        raise DrivingError(
+            f"the setting lidar_range is {lidar_range!r}, it should be above 0, at most 1000 m"
+        )
     if not 4 <= lidar_rays <= 7200:
-        raise ValueError(f"the setting lidar_rays is {lidar_rays!r}, it should be from 4 to 7200")
+        raise DrivingError(f"the setting lidar_rays is {lidar_rays!r}, it should be from 4 to 7200")
     angles = np.arange(lidar_rays) * (2.0 * math.pi / lidar_rays)
     return Perception(
         float(window_side),

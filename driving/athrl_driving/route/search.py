@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..compilation import compiled, inlined
+from ..errors import DrivingError
 from ..maps.lane_graph import Integers, LaneGraph
 
 CHANGE_COST = 30.0
@@ -33,12 +34,12 @@ def shortest_route(graph: LaneGraph, origin: int, destination: int, *, around: b
     rows = graph.length.size
     for name, row in (("origin", origin), ("destination", destination)):
         if not 0 <= row < rows:
-            raise ValueError(f"the {name} is lane {row}, it should be a lane from 0 to {rows - 1}")
+            raise DrivingError(f"the {name} is lane {row}, it should be a lane from 0 to {rows - 1}")
     if origin == destination and not around:
         return np.array([origin], dtype=np.int64)
     before = search_back(graph, origin, destination)
     if before[destination] < 0:
-        raise ValueError(f"no way leads from lane {origin} to lane {destination} of the map")
+        raise DrivingError(f"no way leads from lane {origin} to lane {destination} of the map")
     way = [destination, int(before[destination])]
     while way[-1] != origin:
         way.append(int(before[way[-1]]))

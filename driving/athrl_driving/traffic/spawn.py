@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from athrl_driving.by_reference import by_reference
 from athrl_driving.compilation import compiled, inner, part
+from athrl_driving.errors import DrivingError
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.traffic.columns import NOBODY, Traffic
 from athrl_driving.traffic.geometry import lane_elevation, lane_pose
@@ -48,7 +49,7 @@ def place_vehicles(
     placed = _place_in_environment(traffic, e, seed, x, y, clearance, ego)
     count = traffic.background.lane.shape[1]
     if placed < count:
-        raise ValueError(f"vehicles_count is {count}, but the town has room for {placed} at most")
+        raise DrivingError(f"vehicles_count is {count}, but the town has room for {placed} at most")
 
 
 @compiled

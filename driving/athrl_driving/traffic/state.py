@@ -4,6 +4,7 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 from athrl_driving.compilation import inlined
+from athrl_driving.errors import DrivingError
 from athrl_driving.maps import Town
 from athrl_driving.traffic.columns import (
     EGO_FIELDS,
@@ -44,11 +45,15 @@ def new_traffic(
 ) -> Traffic:
     """Return arrays for `count` vehicles (m long and wide) in each environment, not placed yet.
 
-    Raises `ValueError` for a negative count.
+    Raises `DrivingError` for a negative count and for more than there are places to start at.
     """
     if count < 0:
-        raise ValueError(f"vehicles_count is {count}, but it must be 0 or more")
+        raise DrivingError(f"vehicles_count is {count}, but it must be 0 or more")
     rails, meetings = _rails_of(town)
+    if count > starting_places(town):
+        raise DrivingError(
+            f"vehicles_count is {count}, but the town has room for {starting_places(town)} at most"
+        )
     links, ways = len(rails.length), len(rails.later)
     return Traffic(
         graph=town.graph,
@@ -62,6 +67,12 @@ def new_traffic(
         ego_on_links=_new_ego_on_links(environments, links, ways),
         scratch=_new_scratch(environments, count, links),
     )
+
+
+def starting_places(town: Town) -> int:
+    """Return at how many places of a town background vehicles may start."""
+    rails, _ = _rails_of(town)
+    return len(rails.start_link)
 
 
 def _rails_of(town: Town) -> tuple[Rails, Meetings]:

@@ -9,13 +9,15 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from athrl_driving.errors import DrivingError
+
 DRIVING_TYPES = frozenset(
     {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "mwyEntry", "mwyExit"}
 )
 """Lane types that vehicles drive on; all others are left out."""
 
 
-class MapError(ValueError):
+class MapError(DrivingError):
     """A map that cannot be driven on: one line that names the file, the road, the lane and the line."""
 
 
