@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import sys
+import traceback
 from typing import Any
 
 import typer
 
 from athrl import certificates, evaluate, run_file, services, status, watch
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
+from athrl.stopping import leave
 from athrl.train import command as train
 
 UsageError: Any = typer.BadParameter.__base__
@@ -37,15 +39,25 @@ def main() -> None:
     """Run the command; an expected error ends it with one line and exit code 2."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s", stream=sys.stderr)
     try:
-        sys.exit(app(prog_name="athrl", standalone_mode=False))
+        code = _run()
+    except Exception:  # a bug
+        traceback.print_exc()
+        code = 1
+    leave(code)
+
+
+def _run() -> int:
+    """Run the command; return its exit code."""
+    try:
+        return app(prog_name="athrl", standalone_mode=False) or 0
     except UsageError as error:  # an option that is missing, unknown or out of its bounds
         say(f"{str(error.format_message()).rstrip('.')}; see athrl {_subcommand()}--help")
-        sys.exit(EXPECTED_ERROR)
+        return EXPECTED_ERROR
     except typer.Abort:
-        sys.exit(130)
+        return 130
     except expected_errors() as error:
         say(error)
-        sys.exit(EXPECTED_ERROR)
+        return EXPECTED_ERROR
 
 
 def _subcommand() -> str:

@@ -13,6 +13,7 @@ _EXPECTED = (
     ("athrl_driving.errors", "DrivingError"),
     ("athrl_driving.policy", "InvalidPolicy"),
     ("athrl_learner", "LearnerError"),
+    ("athrl_actor", "ActorError"),
 )
 
 EXPECTED_ERROR = 2

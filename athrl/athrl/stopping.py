@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 LIFELINE = "ATHRL_LIFELINE"
 """Environment variable that tells a service that its standard input is its parent's lifeline."""
+
+FAREWELL_SECONDS = 10.0
+"""How long a command that is done may take to leave."""
 
 ORPHAN_SECONDS = 30.0
 """How long a service without its parent may take to drain."""
@@ -49,6 +54,18 @@ def stop_on_signal(before_exit: Callable[[], None] | None = None) -> Iterator[th
             signal.signal(number, handler)
         signal.set_wakeup_fd(earlier_writer)
         os.close(writer)
+
+
+def leave(code: int) -> NoReturn:
+    """Exit with this code; for the end of a command, when nothing is left to be done.
+
+    Python waits for its threads on the way out. One that never comes to its end, such as one in which an
+    abandoned environment runs, holds the process up for `FAREWELL_SECONDS` at most.
+    """
+    end = threading.Timer(FAREWELL_SECONDS, os._exit, (code,))
+    end.daemon = True
+    end.start()
+    sys.exit(code)
 
 
 def _ignore(number: int, frame: object) -> None:

@@ -68,3 +68,15 @@ def test_standard_input_means_nothing_to_a_service_without_parent() -> None:
     assert process.poll() is None
     process.terminate()
     assert process.communicate(timeout=60)[0] == "draining\ndrained\n"
+
+
+def test_thread_that_never_ends_does_not_keep_a_command_from_leaving() -> None:
+    program = """
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from athrl import stopping
+stopping.FAREWELL_SECONDS = 1.0
+ThreadPoolExecutor(1).submit(threading.Event().wait)
+stopping.leave(2)
+"""
+    assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 2

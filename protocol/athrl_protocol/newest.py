@@ -10,6 +10,7 @@ be behind the old one's, it is heard once the old one is seen to be gone.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -105,6 +106,7 @@ class NewestSubscriber(Closing):
         self._closed = threading.Event()
         self._cancel = zenoh.CancellationToken()
         self._session = session
+        self._key = key
         self._subscriber = session.declare_subscriber(key, self._take)
         self._publishers = session.liveliness().declare_subscriber(key, history=True)
         # By its handler: Subscriber.recv would keep `close` from undeclaring it.
@@ -127,6 +129,21 @@ class NewestSubscriber(Closing):
             self._changed.wait_for(lambda: self._latest is not None or self._closed.is_set(), timeout)
             return self._latest
 
+    def ask(self) -> None:
+        """Ask for the newest values once more and return at once; they are taken as if they had been sent.
+
+        For who knows from elsewhere that there is a newer one which did not come.
+        """
+        with contextlib.suppress(zenoh.ZError):  # the session is closed
+            self._session.get(
+                self._key,
+                handler=self._take_reply,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=QUERY_SECONDS,
+                cancellation_token=self._cancel,
+            )
+
     def close(self) -> None:
         """Stop listening; `latest` keeps what it has."""
         self._closed.set()
@@ -137,6 +154,10 @@ class NewestSubscriber(Closing):
             self._changed.notify_all()
         if threading.current_thread() is not self._asker:
             self._asker.join(timeout=QUERY_SECONDS)
+
+    def _take_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            self._take(reply.ok)
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Keep a value if it is newer than the one of its key."""
@@ -200,9 +221,8 @@ class NewestSubscriber(Closing):
                 cancellation_token=self._cancel,
             )
             for reply in replies:
-                if reply.ok is not None:
-                    answered = True
-                    self._take(reply.ok)
+                answered = answered or reply.ok is not None
+                self._take_reply(reply)
             if answered or time.monotonic() > deadline or self._closed.wait(RETRY_SECONDS):
                 return
 

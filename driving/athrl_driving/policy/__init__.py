@@ -5,6 +5,12 @@ Needs `onnxruntime` (`pip install athrl-driving[policy]`) and nothing that train
 
 from athrl_driving.policy.batch import BatchStep, EnvironmentBatch, environment_config
 from athrl_driving.policy.exploration import ExplorationNoise
+from athrl_driving.policy.guard import (
+    EnvironmentFailure,
+    EnvironmentRaised,
+    EnvironmentStalled,
+    GuardedBatch,
+)
 from athrl_driving.policy.metadata import (
     ActionMetadata,
     InvalidPolicy,
@@ -18,7 +24,11 @@ __all__ = [
     "ActionMetadata",
     "BatchStep",
     "EnvironmentBatch",
+    "EnvironmentFailure",
+    "EnvironmentRaised",
+    "EnvironmentStalled",
     "ExplorationNoise",
+    "GuardedBatch",
     "InvalidPolicy",
     "LevelMetadata",
     "OnnxPolicy",

@@ -70,6 +70,10 @@ class TypedSubscriber(Generic[_Value], Closing):
             self._changed.wait_for(lambda: self._newest is not None or self._closed, timeout)
             return self._newest
 
+    def ask(self) -> None:
+        """Ask for the newest value once more, without waiting for it."""
+        self._subscriber.ask()
+
     def close(self) -> None:
         """Stop listening; `newest` keeps what it has."""
         self._subscriber.close()

@@ -214,6 +214,21 @@ class ActorSection(Section):
         ge=1,
         description="Chunks kept while the learner is away; when it is full the actor waits.",
     )
+    policy_lag_versions: int = Field(
+        default=30,
+        ge=1,
+        description="Versions by which an actor's policy may be behind; with more it waits for a newer one.",
+    )
+    stall_seconds: float = Field(
+        default=60.0,
+        gt=0,
+        description="Seconds within which a step of the environments returns; else they are made anew.",
+    )
+    failures_allowed: int = Field(
+        default=5,
+        ge=0,
+        description="Times in ten minutes that environments may raise or stall before the actor leaves.",
+    )
 
 
 class EvaluatorSection(Section):

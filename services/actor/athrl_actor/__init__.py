@@ -1,5 +1,6 @@
 """Drives environments with the newest policy and streams what happens."""
 
 from athrl_actor.actor import run_actor
+from athrl_actor.failures import ActorError, TooManyFailures
 
-__all__ = ["run_actor"]
+__all__ = ["ActorError", "TooManyFailures", "run_actor"]

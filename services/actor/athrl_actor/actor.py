@@ -2,7 +2,8 @@
 
 Started with an address and a run's name, it asks the learner for the run file. When the learner is away it
 drives on until as many chunks are unacknowledged as the run file allows, then waits; it goes on when the
-learner is back. It ends when the run is finished or `stop` is set, and hands over first what it has.
+learner is back. Environments that raise or stall begin anew; an actor whose environments do so again and
+again leaves. It ends when the run is finished or `stop` is set, and hands over first what it has.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections import deque
 from contextlib import ExitStack
 
 import zenoh
-from athrl_driving.policy import EnvironmentBatch, environment_config
+from athrl_driving.policy import EnvironmentFailure, GuardedBatch, environment_config
 from athrl_protocol import (
     Chunk,
     ChunkUploader,
@@ -27,9 +28,11 @@ from athrl_protocol import (
     join_run,
     new_incarnation,
 )
-from athrl_protocol.run_file import EnvironmentSection, RunFile
+from athrl_protocol.run_file import RunFile
 
+from athrl_actor.failures import FailureCount, TooManyFailures
 from athrl_actor.frames import frame_of_moment
+from athrl_actor.policy_lag import PolicyLag
 from athrl_actor.rollout import Moment, Rollout
 from athrl_actor.seeds import ActorSeeds
 
@@ -45,7 +48,8 @@ def run_actor(*, connect: str, run: str, name: str, stop: threading.Event) -> No
     """Drive until the run is finished or `stop` is set.
 
     Raises ProtocolError when the learner or the run is not there or another live actor has the name,
-    and InvalidPolicy when the run's policy cannot be run.
+    InvalidPolicy when the run's policy cannot be run, and TooManyFailures when the environments fail again
+    and again; what is complete has been handed over then.
     """
     with ExitStack() as stack:
         joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)
@@ -65,7 +69,7 @@ class Actor:
         run, incarnation = run_file.run.name, new_incarnation()
         self._run_file = run_file
         self._stop = stop
-        self._batch = _make_batch(run_file.environment, run_file.actor.environments)
+        self._batch = _make_batch(run_file)
         stack.callback(self._batch.close)
         self._rollout = Rollout(
             self._batch,
@@ -83,18 +87,37 @@ class Actor:
         self._pending: deque[Chunk] = deque()  # not yet taken by the uploader
         self._update: PolicyUpdate | None = None
         self._reported_at = time.monotonic()
-        self._policy_seconds = 0.0  # from a policy's publication to its first use
+        self._delivery_seconds = 0.0  # from a policy's publication to its first use
+        self._lag = PolicyLag(run_file.actor.policy_lag_versions, self._policies.ask)
+        self._failures = FailureCount(run_file.actor.failures_allowed)
 
     def run(self) -> None:
-        """Drive to the end, then hand over what is left."""
-        while not self._over():
-            self._adopt_newest_policy()
-            self._report()
-            if self._rollout.policy_version < 0:
-                self._stop.wait(POLL_SECONDS)
-                continue
-            self._hand_over(self._rollout.step(self._show if self._frames.watched else None))
+        """Drive to the end, then hand over what is left; so also before TooManyFailures is raised."""
+        try:
+            while not self._over():
+                self._adopt_newest_policy()
+                self._report()
+                if self._may_drive():
+                    self._hand_over(self._drive())
+                else:
+                    self._stop.wait(POLL_SECONDS)
+        except TooManyFailures:
+            self._drain()
+            raise
         self._drain()
+
+    def _may_drive(self) -> bool:
+        """Whether there is a policy, and it is not too old."""
+        version, state = self._rollout.policy_version, self._states.newest()
+        return version >= 0 and self._lag.look(version, version if state is None else state.policy_version)
+
+    def _drive(self) -> list[Chunk]:
+        """Make one decision in every environment; what fails begins anew."""
+        try:
+            return self._rollout.step(self._show if self._frames.watched else None)
+        except EnvironmentFailure as failure:
+            self._failures.add(failure, self._rollout.abandon(failure.rows))
+            return []
 
     def _over(self) -> bool:
         """Whether to stop driving: somebody asked for it, or the run is finished."""
@@ -111,7 +134,7 @@ class Actor:
             return
         self._rollout.adopt(update)
         self._update = update
-        self._policy_seconds = max(0.0, time.time() - update.published_at)
+        self._delivery_seconds = max(0.0, time.time() - update.published_at)
 
     def _hand_over(self, chunks: list[Chunk]) -> None:
         """Give chunks to the uploader, waiting while that is full; what is left at the end stays pending."""
@@ -152,9 +175,9 @@ class Actor:
 
     def _report_values(self) -> dict[str, float]:
         uploads = self._uploader.statistics()
-        state = self._states.newest()
         values = {
             **self._rollout.statistics.report(),
+            **self._failures.report(),
             "chunks_produced": uploads.produced,
             "chunks_acknowledged": uploads.acknowledged,
             "chunks_resent": uploads.resent,
@@ -164,16 +187,16 @@ class Actor:
         version = self._rollout.policy_version
         if version >= 0:
             values["policy_version"] = version
-            values["policy_lag_seconds"] = self._policy_seconds
-            if state is not None:
-                values["policy_lag_versions"] = max(0, state.policy_version - version)
+            values["policy_delivery_seconds"] = self._delivery_seconds
+            values["policy_lag_seconds"] = self._lag.seconds
+            values["policy_lag_versions"] = self._lag.versions
         return values
 
     def _show(self, moment: Moment) -> None:
         self._frames.publish(frame_of_moment(self._run_file.environment.town, moment))
 
 
-def _make_batch(section: EnvironmentSection, count: int) -> EnvironmentBatch:
-    settings = section.model_dump()
+def _make_batch(run_file: RunFile) -> GuardedBatch:
+    settings, actor = run_file.environment.model_dump(), run_file.actor
     town = settings.pop("town")
-    return EnvironmentBatch(town, environment_config(**settings), count)
+    return GuardedBatch(town, environment_config(**settings), actor.environments, seconds=actor.stall_seconds)

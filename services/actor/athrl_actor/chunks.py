@@ -78,6 +78,11 @@ class ChunkBuilder:
         self._first_step += columns.length
         return chunk
 
+    def drop(self) -> bool:
+        """Forget the transitions since the last chunk; return whether there were any."""
+        columns, self._columns = self._columns, None
+        return columns is not None
+
 
 class _Columns:
     """The arrays of a chunk under construction; what is not yet written is the padding, zeros."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from athrl_driving.policy import (
     BatchStep,
     EnvironmentBatch,
     ExplorationNoise,
+    GuardedBatch,
     InvalidPolicy,
     OnnxPolicy,
     PolicyStep,
@@ -41,7 +42,7 @@ class Rollout:
 
     def __init__(
         self,
-        batch: EnvironmentBatch,
+        batch: EnvironmentBatch | GuardedBatch,
         seeds: ActorSeeds,
         *,
         actor: str,
@@ -52,6 +53,7 @@ class Rollout:
         self._batch = batch
         self._seeds = seeds
         self._builders = [ChunkBuilder(actor, incarnation, row, sequence_length) for row in range(len(batch))]
+        self._to_begin = list(range(len(batch)))  # environments whose next episode has not begun
         self._episodes = [0] * len(batch)  # begun so far
         self._episode_seeds = [0] * len(batch)
         self._steps = [0] * len(batch)
@@ -83,11 +85,15 @@ class Rollout:
     def step(self, on_first_row: Callable[[Moment], None] | None = None) -> list[Chunk]:
         """Make one decision in every environment; returns the chunks that it completed.
 
-        `on_first_row` is told what happened in the first environment.
+        `on_first_row` is told what happened in the first environment. Raises EnvironmentFailure, whose rows
+        have to be abandoned; what was decided in this call has not happened then.
         """
         policy, update = self._policy, self._update
         if policy is None or update is None:
             raise RuntimeError("there is no policy yet")
+        while self._to_begin:
+            self._begin_episode(self._to_begin[0])
+            del self._to_begin[0]
         images, motion = self._batch.images.copy(), self._batch.motion.copy()
         decided = self._decide(policy, update, images, motion)
         last = policy.metadata.acting_level
@@ -99,15 +105,24 @@ class Rollout:
         self._states = decided.states
         for row in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
             self.statistics.episode_ended(self._returns[row], bool(outcome.infos["collision"][row]))
-            self._begin_episode(row)
+            self._to_begin.append(row)
         return chunks
+
+    def abandon(self, rows: Iterable[int]) -> int:
+        """Give up the episodes of environments that failed; return how many open chunks are lost with them.
+
+        Their next episodes, with other seeds, begin with the next step.
+        """
+        given_up = list(rows)
+        self._to_begin = sorted({*self._to_begin, *given_up})
+        return sum(self._builders[row].drop() for row in given_up)
 
     def flush(self) -> list[Chunk]:
         """Return what is in the open chunks, padded."""
         return [chunk for builder in self._builders if (chunk := builder.flush()) is not None]
 
     def _begin(self, policy: OnnxPolicy) -> None:
-        """Begin the first episodes, now that the policy's shape is known."""
+        """Make room for the states of all environments, now that the policy's shape is known."""
         shape = self._batch.images.shape[1:]
         if policy.metadata.image_shape != shape:
             raise InvalidPolicy(
@@ -115,19 +130,17 @@ class Rollout:
             )
         self._states = policy.initial_states(len(self._batch))
         self._noise = ExplorationNoise(policy.metadata, len(self._batch), self._seeds.exploration())
-        for row in range(len(self._batch)):
-            self._begin_episode(row)
 
     def _begin_episode(self, row: int) -> None:
         assert self._noise is not None
         seed = self._seeds.episode(row, self._episodes[row])
+        self._episodes[row] += 1  # before the reset: a seed with which it fails is not tried again
         self._batch.reset(row, seed)
         self._builders[row].begin(seed)
         self._noise.reset(row)
         for state in self._states.values():
             state[row] = 0
         self._episode_seeds[row] = seed
-        self._episodes[row] += 1
         self._steps[row] = 0
         self._returns[row] = 0
 

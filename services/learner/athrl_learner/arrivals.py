@@ -10,12 +10,15 @@ from athrl_protocol import Chunk
 
 #: An actor that was silent for so many seconds is no longer reported.
 SILENCE = 60.0
+#: Publications whose times are kept; a policy that is older counts as old as the oldest of them.
+_REMEMBERED = 1_000
 
 
 @dataclass
 class _Actor:
     transitions: int
     policy_lag: int  # versions, at its last chunk
+    policy_lag_seconds: float  # since there was a newer version than that chunk's, at its arrival
     heard_at: float
 
 
@@ -24,25 +27,49 @@ class Arrivals:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.published_version = 0
+        self._published_at: dict[int, float] = {}  # of each version that this learner has published
         self._clock = clock
         self._actors: dict[str, _Actor] = {}
 
+    def published(self, version: int) -> None:
+        """Note that there is a newer policy."""
+        self.published_version = version
+        self._published_at[version] = self._clock()
+        if len(self._published_at) > _REMEMBERED:
+            del self._published_at[next(iter(self._published_at))]
+
     def arrived(self, chunk: Chunk) -> None:
         """Note an accepted chunk."""
-        actor = self._actors.setdefault(chunk.actor, _Actor(0, 0, 0.0))
+        actor = self._actors.setdefault(chunk.actor, _Actor(0, 0, 0.0, 0.0))
+        version = int(chunk.policy_version[chunk.length - 1])
         actor.transitions += chunk.length
         # A version above the published one belongs to the time before a learner was killed.
-        actor.policy_lag = max(0, self.published_version - int(chunk.policy_version[chunk.length - 1]))
+        actor.policy_lag = max(0, self.published_version - version)
+        actor.policy_lag_seconds = self._seconds_since_newer_than(version)
         actor.heard_at = self._clock()
 
+    def _seconds_since_newer_than(self, version: int) -> float:
+        if version >= self.published_version or not self._published_at:
+            return 0.0
+        oldest = next(iter(self._published_at.values()))
+        return self._clock() - self._published_at.get(version + 1, oldest)
+
     def metrics(self) -> dict[str, float]:
-        """`policy_lag` of the worst actor; `policy_lag/NAME` and `transitions/NAME` of each that is heard."""
+        """`policy_lag` and `policy_lag_seconds` of the worst actor, and the same of each that is heard.
+
+        These are `policy_lag/NAME` and `policy_lag_seconds/NAME`, and with them `transitions/NAME`.
+        """
         now = self._clock()
         self._actors = {
             name: actor for name, actor in self._actors.items() if now - actor.heard_at <= SILENCE
         }
-        values = {"policy_lag": float(max((actor.policy_lag for actor in self._actors.values()), default=0))}
+        actors = self._actors.values()
+        values = {
+            "policy_lag": float(max((actor.policy_lag for actor in actors), default=0)),
+            "policy_lag_seconds": max((actor.policy_lag_seconds for actor in actors), default=0.0),
+        }
         for name, actor in self._actors.items():
             values[f"policy_lag/{name}"] = float(actor.policy_lag)
+            values[f"policy_lag_seconds/{name}"] = actor.policy_lag_seconds
             values[f"transitions/{name}"] = float(actor.transitions)
         return values

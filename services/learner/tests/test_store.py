@@ -200,16 +200,22 @@ def test_the_ratio_is_held_for_any_number_of_actors(run_file, make_chunk, accept
 def test_policy_lag_is_told_for_each_actor_that_is_heard(make_chunk):
     now = 0.0
     arrivals = Arrivals(clock=lambda: now)
-    arrivals.published_version = 7
-    arrivals.arrived(make_chunk(actor="slow"))
-    arrivals.published_version = 0
+    for version in range(8):
+        now = 2.0 * version
+        arrivals.published(version)
+    now = 15.0
+    arrivals.arrived(make_chunk(actor="slow"))  # which drove with version 0; version 1 came 13 s ago
+    arrivals.published(0)  # by a learner that goes on from an old checkpoint
     arrivals.arrived(make_chunk(actor="fast"))
     assert arrivals.metrics() == {
         "policy_lag": 7.0,
+        "policy_lag_seconds": 13.0,
         "policy_lag/slow": 7.0,
+        "policy_lag_seconds/slow": 13.0,
         "transitions/slow": 5.0,
         "policy_lag/fast": 0.0,
+        "policy_lag_seconds/fast": 0.0,
         "transitions/fast": 5.0,
     }
-    now = 61.0
-    assert arrivals.metrics() == {"policy_lag": 0.0}
+    now = 76.0
+    assert arrivals.metrics() == {"policy_lag": 0.0, "policy_lag_seconds": 0.0}

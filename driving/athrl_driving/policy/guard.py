@@ -1,0 +1,182 @@
+"""A batch of environments whose driver outlives them: one that raises or stalls is a failure of its own kind.
+
+A thread cannot be interrupted, so the environments are driven from a thread that can be left behind: what
+does not return within a deadline is abandoned, and a new batch takes its place.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
+
+import numpy as np
+
+from athrl_driving.compilation import LONGEST_COMPILATION
+from athrl_driving.envs import TownRow
+from athrl_driving.errors import DrivingError
+from athrl_driving.policy.batch import BatchStep, EnvironmentBatch
+
+FIRST_CALL_SECONDS = LONGEST_COMPILATION + 300.0
+"""A process's first step may compile, and wait before that for another process which compiles the same."""
+GLANCE_SECONDS = 0.5
+"""The deadline is counted in such pieces, so that a process which is paused for an hour loses one of them."""
+
+_Result = TypeVar("_Result")
+
+
+class EnvironmentFailure(Exception):  # noqa: N818 - the name says what happened
+    """Environments could not be stepped or reset; episodes have to begin in `rows` before the next step.
+
+    The text is one line that says what happened.
+    """
+
+    def __init__(self, text: str, rows: list[int]) -> None:
+        super().__init__(text)
+        self.rows = rows
+
+
+class EnvironmentRaised(EnvironmentFailure):
+    """A step or a reset raised an exception, which is the cause."""
+
+
+class EnvironmentStalled(EnvironmentFailure):
+    """A step or a reset did not return within the deadline."""
+
+
+class GuardedBatch:
+    """An `EnvironmentBatch` that is made anew when it fails.
+
+    `images`, `motion` and `environments` are those of the present batch: take them anew after a failure.
+
+    Args:
+        town: as for `EnvironmentBatch`, like `config` and `count`.
+        config: of the environments.
+        count: of environments.
+        seconds: within which a step or a reset returns; longer where it is the first of its kind.
+    """
+
+    def __init__(self, town: str, config: Mapping[str, Any], count: int, *, seconds: float) -> None:
+        self._make = lambda: EnvironmentBatch(town, config, count)
+        self._count = count
+        self._seconds = seconds
+        self._worker = _Worker()
+        self._compiled: set[str] = set()  # calls that have returned once
+        self._batch = self._call("making the environments", self._make)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def images(self) -> np.ndarray:
+        """uint8 [count, H, W, C]; changes with every step."""
+        return self._batch.images
+
+    @property
+    def motion(self) -> np.ndarray:
+        """float32 [count, m]; changes with every step."""
+        return self._batch.motion
+
+    @property
+    def environments(self) -> list[TownRow]:
+        """Each environment as an object, for drivers and viewers."""
+        return self._batch.environments
+
+    def info(self, row: int) -> dict[str, Any]:
+        """What `info` tells of one environment's last decision."""
+        return self._batch.info(row)
+
+    def reset(self, row: int, seed: int) -> None:
+        """Begin a new episode in one environment; raises EnvironmentFailure."""
+        batch = self._batch
+        self._guarded(f"reset of environment {row}", lambda: batch.reset(row, seed), [row])
+
+    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> BatchStep:
+        """Step as `EnvironmentBatch` does; raises EnvironmentFailure."""
+        batch, rows = self._batch, list(range(self._count))
+        return self._guarded("step", lambda: batch.step(actions, active), rows)
+
+    def close(self) -> None:
+        """Close the environments and end the thread."""
+        self._batch.close()
+        self._worker.end()
+
+    def _guarded(self, what: str, call: Callable[[], _Result], rows: list[int]) -> _Result:
+        """Make a call; if it fails, replace what may be broken and raise EnvironmentFailure."""
+        try:
+            return self._call(what, call)
+        except _Abandoned:
+            self._worker = _Worker()
+            text = f"{what} did not return within {self._seconds:g} s"
+            failure: EnvironmentFailure = EnvironmentStalled(text, list(range(self._count)))
+            cause = None
+        except Exception as error:
+            if what != "step":  # the others are sound: only this one has no episode
+                raise EnvironmentRaised(_describe(what, error), rows) from error
+            self._batch.close()
+            failure, cause = EnvironmentRaised(_describe(what, error), rows), error
+        self._renew()
+        raise failure from cause
+
+    def _renew(self) -> None:
+        try:
+            self._batch = self._call("making the environments", self._make)
+        except _Abandoned:
+            raise DrivingError(f"new environments were not made within {self._seconds:g} s") from None
+
+    def _call(self, what: str, call: Callable[[], _Result]) -> _Result:
+        kind = what.partition(" ")[0]
+        result = self._worker.call(call, self._seconds if kind in self._compiled else FIRST_CALL_SECONDS)
+        self._compiled.add(kind)
+        return result
+
+
+def _describe(what: str, error: Exception) -> str:
+    return " ".join(f"{what} raised {type(error).__name__}: {error}".split())
+
+
+class _Abandoned(Exception):  # noqa: N818 - a call's own TimeoutError is something else
+    """A call did not return in time."""
+
+
+class _Worker:
+    """A thread that makes calls one by one, and is left behind with one that does not return."""
+
+    def __init__(self) -> None:
+        self._calls: SimpleQueue[Callable[[], Any] | None] = SimpleQueue()
+        self._outcomes: SimpleQueue[tuple[Any, Exception | None]] = SimpleQueue()
+        # Told the queues, not the object: what an abandoned call still writes reaches nobody.
+        threading.Thread(
+            target=_serve, args=(self._calls, self._outcomes), name="environments", daemon=True
+        ).start()
+
+    def call(self, function: Callable[[], _Result], seconds: float) -> _Result:
+        """Return what the function returns or raise what it raises; _Abandoned after so many seconds."""
+        self._calls.put(function)
+        left = seconds
+        while left > 0:
+            try:
+                result, error = self._outcomes.get(timeout=min(left, GLANCE_SECONDS))
+            except Empty:
+                left -= GLANCE_SECONDS
+                continue
+            if error is not None:
+                raise error
+            return result
+        self.end()
+        raise _Abandoned
+
+    def end(self) -> None:
+        """Have the thread end once its call has returned."""
+        self._calls.put(None)
+
+
+def _serve(
+    calls: SimpleQueue[Callable[[], Any] | None], outcomes: SimpleQueue[tuple[Any, Exception | None]]
+) -> None:
+    while (call := calls.get()) is not None:
+        try:
+            outcomes.put((call(), None))
+        except Exception as error:
+            outcomes.put((None, error))

@@ -1,0 +1,65 @@
+"""Environments that raise or stall: counted, told, and after too many of them a reason to leave."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+
+from athrl_driving.policy import EnvironmentFailure, EnvironmentStalled
+
+WINDOW_SECONDS = 600.0  # what is longer ago does not count against an actor that runs for weeks
+
+log = logging.getLogger(__name__)
+
+
+class ActorError(Exception):
+    """What an actor cannot go on with; the text is one line for the user."""
+
+
+class TooManyFailures(ActorError):  # noqa: N818  (the name says what happened)
+    """The environments fail again and again."""
+
+
+class FailureCount:
+    """Counts failures of the environments.
+
+    Args:
+        allowed: failures within `WINDOW_SECONDS` after which the actor goes on.
+        clock: seconds, monotonic.
+    """
+
+    def __init__(self, allowed: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._allowed = allowed
+        self._clock = clock
+        self._recent: deque[float] = deque()
+        self._failed = 0
+        self._stalled = 0
+        self._chunks_dropped = 0
+
+    def add(self, failure: EnvironmentFailure, chunks_dropped: int) -> None:
+        """Count a failure that cost so many open chunks; raises TooManyFailures if it is one too many."""
+        if isinstance(failure, EnvironmentStalled):
+            self._stalled += 1
+        else:
+            self._failed += 1
+        self._chunks_dropped += chunks_dropped
+        now = self._clock()
+        self._recent.append(now)
+        while self._recent[0] <= now - WINDOW_SECONDS:
+            self._recent.popleft()
+        if len(self._recent) > self._allowed:
+            raise TooManyFailures(
+                f"the environments failed {len(self._recent)} times within {WINDOW_SECONDS:.0f} s, "
+                f"actor.failures_allowed is {self._allowed}; the last time: {failure}"
+            )
+        log.warning("%s; %d episodes begin anew", failure, len(failure.rows))
+
+    def report(self) -> dict[str, float]:
+        """The counts since the actor started."""
+        return {
+            "environments_failed": self._failed,
+            "environments_stalled": self._stalled,
+            "chunks_dropped": self._chunks_dropped,
+        }
