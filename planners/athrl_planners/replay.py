@@ -88,6 +88,10 @@ class SequenceReplay:
             terminated=rows["terminated"],
         )
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """What is stored, by column: views [sequences, ...] in the order of the slots; none while empty."""
+        return {name: column[: self.sequences] for name, column in self._columns.items()}
+
     def state(self) -> dict[str, Any]:
         """What a restored replay needs beside its sequences, JSON-able: counts and the generator's state."""
         with self._lock:

@@ -19,7 +19,7 @@ LONGEST_WRITE = 120.0
 
 
 class Checkpointer:
-    """Writes checkpoints one at a time; a regular one that fails is a warning, the last one an error."""
+    """Writes checkpoints one at a time, and clears away what no kept one needs."""
 
     def __init__(
         self,
@@ -50,13 +50,16 @@ class Checkpointer:
         return not busy and time.monotonic() >= self._due_at
 
     def write_in_background(self, content: CheckpointContent) -> None:
-        """Start writing `content`, which must share no memory with what training changes."""
+        """Start writing `content`, which must share no memory with what training changes.
+
+        Should it fail, there is a warning and training goes on.
+        """
         self._due_at = time.monotonic() + self._seconds
         self._writer = threading.Thread(target=self._try, args=(content,), name="checkpoint", daemon=True)
         self._writer.start()
 
-    def write_last(self, content: CheckpointContent) -> Path:
-        """Wait for the writing under way, then write `content`.
+    def write_now(self, content: CheckpointContent) -> Path:
+        """Wait for the writing under way, then write `content`; it is on the disk when this returns.
 
         Raises:
             CheckpointFailed: the disk refuses, or is stuck with the one before.

@@ -9,6 +9,7 @@ import time
 from athrl_protocol import Phase, RunFile
 
 from athrl_learner.checkpoint import CheckpointContent
+from athrl_learner.connections import Connections
 from athrl_learner.errors import Deadlock
 from athrl_learner.parts import Parts
 from athrl_learner.snapshot import take_snapshot
@@ -25,9 +26,10 @@ _ACTORS_LEAVE_WITHIN = 10.0
 class Learner:
     """Runs the parts that `run_learner` has put together, in the thread that calls it."""
 
-    def __init__(self, run_file: RunFile, parts: Parts) -> None:
+    def __init__(self, run_file: RunFile, parts: Parts, connections: Connections) -> None:
         self._run_file = run_file
         self._parts = parts
+        self._connections = connections
         self._batch = run_file.learner.batch
 
     def run(self, stop: threading.Event, evaluator_deadline: float) -> bool:
@@ -39,7 +41,7 @@ class Learner:
             LogFailed: the disk does not take what would be acknowledged.
         """
         self._publish()
-        self._parts.reporter.report()
+        self._connections.reporter.report()
         try:
             self._train(stop)
         except Deadlock:
@@ -55,8 +57,8 @@ class Learner:
     def _train(self, stop: threading.Event) -> None:
         parts = self._parts
         while not stop.is_set() and not parts.store.exhausted(self._batch):
-            if parts.intake.failure is not None:
-                raise parts.intake.failure
+            if self._connections.intake.failure is not None:
+                raise self._connections.intake.failure
             batch = parts.store.sample(self._batch, timeout=_GLANCE)
             if batch is not None:
                 parts.trainer.update(batch)
@@ -65,41 +67,41 @@ class Learner:
             if parts.checkpointer.due:
                 parts.checkpointer.write_in_background(self._snapshot())
             parts.store.require_progress(self._run_file.learner.deadlock_seconds)
-            parts.reporter.report_if_due()
+            self._connections.reporter.report_if_due()
 
     def _finish(self) -> None:
         """All experience is in and trained on: the last policy, the news, the last checkpoint."""
         parts = self._parts
-        parts.intake.stop_accepting(finished=True)
+        self._connections.intake.stop_accepting(finished=True)
         self._publish()
-        parts.reporter.announce_end(Phase.FINISHED)
+        self._connections.reporter.announce_end(Phase.FINISHED)
         log.info(
             "finished after %d environment steps and %d updates; policy version %d",
             parts.store.environment_steps,
             parts.trainer.updates,
             parts.publication.version,
         )
-        parts.checkpointer.write_last(self._snapshot())
+        parts.checkpointer.write_now(self._snapshot())
 
     def _drain(self) -> None:
         """Stopped before the end: take nothing more in, then keep everything that was acknowledged."""
         parts = self._parts
-        parts.intake.stop_accepting(finished=False)
-        parts.reporter.announce_end(Phase.DRAINING)
+        self._connections.intake.stop_accepting(finished=False)
+        self._connections.reporter.announce_end(Phase.DRAINING)
         log.info("stopped after %d environment steps; writing a checkpoint", parts.store.environment_steps)
-        parts.checkpointer.write_last(self._snapshot())
+        parts.checkpointer.write_now(self._snapshot())
 
     def _linger(self, stop: threading.Event, evaluator_deadline: float) -> None:
         """Stay for those who still need something: actors for a moment, an evaluator until it is done."""
         began = time.monotonic()
         while not stop.is_set():
             waited = time.monotonic() - began
-            roles = {role for role, _ in self._parts.presence.present()}
+            roles = {role for role, _ in self._connections.presence.present()}
             actors_stay = "actor" in roles and waited < _ACTORS_LEAVE_WITHIN
             evaluator_stays = "evaluator" in roles and waited < evaluator_deadline
             if waited >= _FAREWELL and not actors_stay and not evaluator_stays:
                 return
-            self._parts.reporter.report_if_due()
+            self._connections.reporter.report_if_due()
             stop.wait(_GLANCE)
 
     def _publish(self) -> None:
@@ -115,7 +117,7 @@ class Learner:
             self._run_file,
             parts.agent,
             parts.store,
-            parts.intake,
+            self._connections.intake,
             parts.publication.version,
             parts.damaged,
         )

@@ -82,6 +82,10 @@ class SamplesPerInsert:
         lowest = 0.0 if self.closed else -self.error_bound
         return self.warmed_up and self.surplus - count >= lowest
 
+    def owes(self, count: int) -> bool:
+        """Whether the inserts so far ask for `count` samples or more; who samples no others never leads."""
+        return self.warmed_up and self.surplus >= count
+
     def inserted(self, count: int) -> None:
         """Count `count` inserted transitions."""
         self.inserts += count

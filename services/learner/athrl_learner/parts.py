@@ -1,56 +1,58 @@
-"""The parts of a learner and how they hang together, fresh or from a checkpoint."""
+"""The parts of a learner that need no network, and how they hang together, fresh or from a checkpoint."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import zenoh
 from athrl_planners import AtHRL, PolicyExporter
-from athrl_protocol import (
-    ChunkIntake,
-    EvaluationResult,
-    EvaluationSubscriber,
-    MetricsPublisher,
-    PolicyPublisher,
-    PresenceWatcher,
-    RunFile,
-    StatePublisher,
-)
-from athrl_protocol.limits import largest_chunk_of
+from athrl_protocol import PolicyUpdate, RunFile
+from athrl_protocol.ledger import Ledger
 
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent
 from athrl_learner.checkpointing import Checkpointer
-from athrl_learner.publication import Publication, recorded_version
-from athrl_learner.reporting import Reporter
+from athrl_learner.publication import Publication
+from athrl_learner.recovery import AfterTheCheckpoint
 from athrl_learner.run_folder import RunFolder
-from athrl_learner.segments import IntervalSync, SegmentLog
-from athrl_learner.snapshot import restore_snapshot, saved_version
+from athrl_learner.segments import SegmentLog
+from athrl_learner.snapshot import restore_snapshot
 from athrl_learner.store import ExperienceStore
 from athrl_learner.training import Trainer
 
 log = logging.getLogger(__name__)
 
-#: The learner's role, and its name: there is one in a run.
-NAME = "learner"
-
 
 @dataclass(frozen=True)
 class Parts:
-    """Everything that a learner works with."""
+    """Everything that a learner works with, wherever its experience comes from.
+
+    Attributes:
+        agent: both planners.
+        trainer: updates them.
+        arrivals: which actor sent how much.
+        store: replay, log and limiter.
+        ledger: of the chunks that are settled; whoever takes chunks in goes on with it.
+        publication: hands the policy out.
+        best: hears what evaluators say, and knows the best checkpoint.
+        checkpointer: writes checkpoints.
+        recovered: chunks that were taken in from the log, beyond the checkpoint.
+        damaged: records of the log that could not be read, in the run so far.
+    """
 
     agent: AtHRL
     trainer: Trainer
+    arrivals: Arrivals
     store: ExperienceStore
-    intake: ChunkIntake
+    ledger: Ledger
     publication: Publication
+    best: BestCheckpoint
     checkpointer: Checkpointer
-    reporter: Reporter
-    presence: PresenceWatcher
-    damaged: int  # records of the log that could not be read, in the run so far
+    recovered: int
+    damaged: int
 
 
 def make_experience(
@@ -69,45 +71,35 @@ def make_experience(
     )
 
 
-def make_log(stack: contextlib.ExitStack, run_file: RunFile, folder: RunFolder) -> SegmentLog:
-    """The log of experience, which goes to the disk at an interval where the run file wants that."""
-    experience = translation.make_log(run_file, folder.experience)
-    stack.callback(experience.close)
-    if run_file.durability.fsync == "interval":
-        stack.enter_context(IntervalSync(experience, run_file.durability.fsync_seconds))
-    return experience
-
-
-def make_checkpointer(
+def make_parts(
     stack: contextlib.ExitStack,
-    session: zenoh.Session,
     run_file: RunFile,
     folder: RunFolder,
-    experience: SegmentLog,
-) -> Checkpointer:
-    """The checkpointer, which hears the evaluators' scores of the policy."""
-    best = BestCheckpoint(folder.checkpoints)
+    content: CheckpointContent | None,
+    hand_out: Callable[[PolicyUpdate], object],
+    after_the_checkpoint: AfterTheCheckpoint = "taken in",
+) -> Parts:
+    """Make all parts; the log is closed by `stack`.
 
-    def heard(result: EvaluationResult) -> None:
-        if result.driver == "policy" and "return_mean" in result.scores:
-            best.heard(result.policy_version, result.scores["return_mean"])
+    Args:
+        stack: closes what has to be closed.
+        run_file: the settings.
+        folder: the run's, locked.
+        content: the checkpoint to go on from, if any.
+        hand_out: brings a published policy to those who drive with it.
+        after_the_checkpoint: what becomes of the experience that the log has beyond `content`.
 
-    stack.enter_context(EvaluationSubscriber(session, run_file.run.name, heard))
-    return Checkpointer(
-        folder.checkpoints,
-        experience,
-        best,
-        seconds=run_file.learner.checkpoint_seconds,
-        kept=run_file.learner.checkpoints_kept,
-    )
-
-
-def make_publication(
-    run_file: RunFile, agent: AtHRL, folder: RunFolder, publisher: PolicyPublisher, arrivals: Arrivals
-) -> Publication:
-    """Publication that goes on from the newest version which anybody can have."""
-    return Publication(
-        publisher,
+    Raises:
+        CannotResume: `content` or the log does not fit the run file.
+    """
+    arrivals = Arrivals()
+    agent = translation.make_agent(run_file)
+    experience = translation.make_log(run_file, folder.experience)
+    stack.callback(experience.close)
+    store = make_experience(run_file, agent, arrivals, experience)
+    restored = restore_snapshot(content, agent, store, after_the_checkpoint)
+    publication = Publication(
+        hand_out,
         PolicyExporter(agent),
         folder,
         arrivals,
@@ -115,48 +107,23 @@ def make_publication(
         final_noise_scale=run_file.exploration.final_noise_scale,
         environment_steps_target=run_file.run.environment_steps,
     )
-
-
-def make_parts(
-    stack: contextlib.ExitStack,
-    session: zenoh.Session,
-    run_file: RunFile,
-    folder: RunFolder,
-    content: CheckpointContent | None,
-) -> Parts:
-    """Make all parts; those that hold something of the session are closed by `stack`.
-
-    Raises:
-        CannotResume: `content` or the log does not fit the run file.
-    """
-    run, arrivals = run_file.run.name, Arrivals()
-    agent = translation.make_agent(run_file)
-    experience = make_log(stack, run_file, folder)
-    store = make_experience(run_file, agent, arrivals, experience)
-    restored = restore_snapshot(content, agent, store)
-    publisher = stack.enter_context(PolicyPublisher(session, run))
-    publication = make_publication(run_file, agent, folder, publisher, arrivals)
-    publication.version = max(
-        recorded_version(folder.latest_policy_facts), saved_version(content) if content is not None else -1
-    )
-    chunks = ChunkIntake(session, run, store, restored.ledger, largest_chunk_of(run_file))
-    intake = stack.enter_context(chunks)
-    presence = stack.enter_context(PresenceWatcher(session, run))
-    checkpointer = make_checkpointer(stack, session, run_file, folder, experience)
-    trainer = Trainer(agent)
-    reporter = Reporter(
-        stack.enter_context(StatePublisher(session, run)),
-        stack.enter_context(MetricsPublisher(session, run, NAME, NAME)),
-        store=store,
-        arrivals=arrivals,
-        trainer=trainer,
-        publication=publication,
-        checkpointer=checkpointer,
-        intake=intake,
-        presence=presence,
-        recovered=restored.recovered,
-        damaged=restored.damaged,
+    best = BestCheckpoint(folder.checkpoints)
+    checkpointer = Checkpointer(
+        folder.checkpoints,
+        experience,
+        best,
+        seconds=run_file.learner.checkpoint_seconds,
+        kept=run_file.learner.checkpoints_kept,
     )
     return Parts(
-        agent, trainer, store, intake, publication, checkpointer, reporter, presence, restored.damaged
+        agent,
+        Trainer(agent),
+        arrivals,
+        store,
+        restored.ledger,
+        publication,
+        best,
+        checkpointer,
+        restored.recovered,
+        restored.damaged,
     )

@@ -6,10 +6,11 @@ import hashlib
 import json
 import logging
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from athrl_planners import PolicyExporter
-from athrl_protocol import PolicyPublisher, PolicyUpdate
+from athrl_protocol import PolicyUpdate
 
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.run_folder import RunFolder, write_atomically
@@ -36,11 +37,11 @@ def recorded_version(facts: Path) -> int:
 
 
 class Publication:
-    """Publishes the averaged actors: to the run, and as `policies/latest.onnx`."""
+    """Publishes the averaged actors: `hand_out` brings them to the run; also as `policies/latest.onnx`."""
 
     def __init__(
         self,
-        publisher: PolicyPublisher,
+        hand_out: Callable[[PolicyUpdate], object],
         exporter: PolicyExporter,
         folder: RunFolder,
         arrivals: Arrivals,
@@ -51,7 +52,7 @@ class Publication:
     ) -> None:
         self.version = -1  # the newest published
         self.noise_scale = 1.0  # that went with it
-        self._publisher = publisher
+        self._hand_out = hand_out
         self._exporter = exporter
         self._folder = folder
         self._arrivals = arrivals
@@ -60,6 +61,11 @@ class Publication:
         self._target = environment_steps_target
         self._published_at = -seconds
         self._published_updates = -1
+
+    def go_on(self, version: int) -> None:
+        """Take `version` for the newest that was published: the next one is above it."""
+        self.version = version
+        self._arrivals.published_version = version
 
     def due(self, updates: int) -> bool:
         """Whether there was an update since the last publication, and enough time."""
@@ -80,9 +86,9 @@ class Publication:
             published_at=time.time(),
         )
         self._write_files(update)
-        self._publisher.publish(update)
+        self._hand_out(update)
         self.version, self.noise_scale = update.version, update.noise_scale
-        self._arrivals.published_version = update.version
+        self._arrivals.published(update.version)
         self._published_at = time.monotonic()
         self._published_updates = updates
 

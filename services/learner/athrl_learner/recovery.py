@@ -1,7 +1,8 @@
 """Puts the experience back: the replay from the segments that a checkpoint names, then what came after it.
 
 What is acknowledged is in the log. A checkpoint says which records were in the replay when it was taken; all
-records behind it were accepted later, and are taken in once more, in their order, with all counters.
+records behind it were accepted later, and are taken in once more, in their order, with all counters. A run
+that repeats itself bit for bit drives them again instead.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 import logging
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from athrl_planners import Sequence
 from athrl_protocol import Chunk, InvalidMessage, decode_chunk
@@ -31,6 +32,9 @@ from athrl_learner.segments import (
 from athrl_learner.store import ExperienceStore
 
 log = logging.getLogger(__name__)
+
+AfterTheCheckpoint = Literal["taken in", "driven again"]
+"""What becomes of experience that came after the checkpoint: the log has it, or it comes again anyway."""
 
 
 class Recovery:
@@ -53,16 +57,23 @@ class Recovery:
         self._expected = first  # number of the next record, were none damaged
         self._facts: list[SegmentFacts] = []
 
-    def run(self, replay_state: dict[str, Any] | None) -> None:
+    def run(self, replay_state: dict[str, Any] | None, after: AfterTheCheckpoint = "taken in") -> None:
         """Fill the replay as it was at the checkpoint (if there is one), take in what followed, go on.
 
+        With "driven again" the log goes on right behind the checkpoint. What it has beyond that is still
+        there until `SegmentLog.remove_later`.
+
         Raises:
-            CannotResume: a chunk does not fit the run's settings, or is of another release.
+            CannotResume: a chunk does not fit the run's settings, or is of another release; a record is
+                damaged and what follows was to be driven again, which would then not be the same.
             KeyError, TypeError, ValueError: `replay_state` is wrong.
             OSError: a segment cannot be read.
         """
         if replay_state is not None:
             self._store.replay.load_state(replay_state, self._replayed())
+        if after == "driven again":
+            self._go_on_behind_the_checkpoint()
+            return
         for record in self._records(self._after_the_checkpoint(), {}):
             self._take_again(record)
         last = max([*self._paths, self._position.next_segment - 1])
@@ -79,6 +90,14 @@ class Recovery:
             if record.kind == Kind.CHUNK and record.number >= self._position.oldest:
                 self._store.remember(record.number)
                 yield self._sequence(self._chunk(record))
+
+    def _go_on_behind_the_checkpoint(self) -> None:
+        if self.damaged:
+            raise CannotResume(
+                f"{self.damaged} records of the log {self._store.log.folder} are damaged or missing: "
+                "the run would not be the same; start a new run under another run.name"
+            )
+        self._store.log.go_on(self._position.next_segment, self._position.next_record, self._facts)
 
     def _after_the_checkpoint(self) -> list[int]:
         return [number for number in self._paths if number >= self._position.next_segment]

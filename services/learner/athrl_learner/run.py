@@ -12,14 +12,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from athrl_protocol import RunFile, announce_presence, open_session, read_run_file, serve_run_file, to_toml
+from athrl_protocol import (
+    PolicyPublisher,
+    RunFile,
+    announce_presence,
+    complete_address,
+    open_session,
+    read_run_file,
+    serve_run_file,
+    to_toml,
+)
+from athrl_protocol.certificates import find_certificates
 from athrl_protocol.limits import largest_chunk_of
 
-from athrl_learner.checkpoint import CheckpointContent, newest_intact_checkpoint, remove_unfinished
+from athrl_learner.connections import NAME, connect
 from athrl_learner.errors import CannotResume
+from athrl_learner.going_on import checkpoint_to_go_on_from
 from athrl_learner.learner import Learner
-from athrl_learner.parts import NAME, make_parts
+from athrl_learner.parts import make_parts
+from athrl_learner.publication import recorded_version
 from athrl_learner.run_folder import RunFolder
+from athrl_learner.snapshot import saved_version
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +83,7 @@ def run_learner(
     torch.set_num_threads(run_file.learner.threads)
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path))
-        content = _prepare(folder, resuming=resume is not None)
+        content = checkpoint_to_go_on_from(folder, resuming=resume is not None)
         # The address before the folder's content: a run that cannot listen leaves nothing behind.
         session = stack.enter_context(
             open_session(
@@ -81,15 +94,18 @@ def run_learner(
                 largest_chunk=largest_chunk_of(run_file),
             )
         )
-        parts = make_parts(stack, session, run_file, folder, content)
+        publisher = stack.enter_context(PolicyPublisher(session, run_file.run.name))
+        parts = make_parts(stack, run_file, folder, content, publisher.publish)
+        parts.publication.go_on(max(recorded_version(folder.latest_policy_facts), saved_version(content)))
+        connections = connect(stack, session, run_file, parts)
         stack.enter_context(short_collections())
         # Only settings that the checkpoint fits replace those it was made with.
         folder.lay_out(to_toml(run_file))
         # Last, because whoever has the run file expects everything else to be there.
         stack.enter_context(serve_run_file(session, run_file))
         stack.enter_context(announce_presence(session, run_file.run.name, NAME, NAME))
-        log.info("run %s listens at %s and writes into %s", run_file.run.name, run_file.network.listen, path)
-        finished = Learner(run_file, parts).run(stop, evaluator_deadline)
+        log.info("run %s listens at %s and writes into %s", run_file.run.name, _address(run_file), path)
+        finished = Learner(run_file, parts, connections).run(stop, evaluator_deadline)
     return Summary(
         run=run_file.run.name,
         folder=path,
@@ -117,6 +133,13 @@ def short_collections() -> Iterator[None]:
         gc.unfreeze()
 
 
+def _address(run_file: RunFile) -> str:
+    """Where the run really listens: with certificates it is TLS, whatever the run file calls it."""
+    network = run_file.network
+    secure = find_certificates(network.certificates, NAME) is not None
+    return complete_address(network.listen, secure=secure)
+
+
 def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path]:
     """The run file to follow and the run's folder."""
     if resume is not None:
@@ -126,22 +149,3 @@ def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunF
     if run_file is None:
         raise ValueError("run_learner needs a run file, or a run to resume")
     return run_file, Path(run_file.run.folder) / run_file.run.name
-
-
-def _prepare(folder: RunFolder, *, resuming: bool) -> CheckpointContent | None:
-    """Look at the locked folder: what to go on from, None for the beginning."""
-    if not resuming:
-        folder.require_unused()
-        return None
-    for path in remove_unfinished(folder.checkpoints):
-        log.warning("removed %s, which was never completed", path)
-    found = newest_intact_checkpoint(folder.checkpoints)
-    if found is None:
-        log.warning(
-            "%s has no checkpoint yet: training begins anew, with the experience that is in its log",
-            folder.path,
-        )
-        return None
-    path, content = found
-    log.info("going on from %s, at %d environment steps", path, content.state["environment_steps"])
-    return content

@@ -3,29 +3,47 @@
 from __future__ import annotations
 
 import textwrap
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from athrl_planners import AtHRL
-from athrl_protocol import ChunkIntake, RunFile
+from athrl_protocol import RunFile
 from athrl_protocol.ledger import Ledger
 
 from athrl_learner.checkpoint import CheckpointContent
 from athrl_learner.errors import CannotResume
-from athrl_learner.recovery import Recovery
+from athrl_learner.recovery import AfterTheCheckpoint, Recovery
 from athrl_learner.store import ExperienceStore
+
+
+class Intake(Protocol):
+    """Who takes chunks in and keeps the ledger: `ChunkIntake` off the network, `DirectIntake` without one."""
+
+    def paused(self) -> AbstractContextManager[None]:
+        """Nothing is taken in within the context."""
+
+    def ledger(self) -> dict[str, dict[str, int]]:
+        """The ledger as JSON."""
+
+    def totals(self) -> dict[str, int]:
+        """The totals that go with it."""
 
 
 def take_snapshot(
     run_file: RunFile,
     agent: AtHRL,
     store: ExperienceStore,
-    intake: ChunkIntake,
+    intake: Intake,
     policy_version: int,
     damaged: int = 0,
+    actor: dict[str, Any] | None = None,
 ) -> CheckpointContent:
     """Copy everything but the experience, which is in the log; called between two updates.
+
+    `actor` is the state of an actor that lives in the same process, if one does: tensors and plain values
+    that nobody changes later.
 
     The ledger says which chunks the replay has: were the two of different moments, a chunk would be counted
     twice or never after a resume. So the intake stands still, for about a millisecond.
@@ -43,7 +61,7 @@ def take_snapshot(
             "replay": store.replay.state(),
         }
         position = store.log_position()
-    return CheckpointContent(state=state, agent=_copied(agent.state_dict()), log=position)
+    return CheckpointContent(state=state, agent=_copied(agent.state_dict()), log=position, actor=actor)
 
 
 @dataclass(frozen=True)
@@ -61,10 +79,15 @@ class Restored:
     damaged: int = 0
 
 
-def restore_snapshot(content: CheckpointContent | None, agent: AtHRL, store: ExperienceStore) -> Restored:
+def restore_snapshot(
+    content: CheckpointContent | None,
+    agent: AtHRL,
+    store: ExperienceStore,
+    after_the_checkpoint: AfterTheCheckpoint = "taken in",
+) -> Restored:
     """Put planner, replay, limiter and counters back, and take in what the log has beyond `content`.
 
-    Without `content` everything is taken in that the log has.
+    Without `content` that is everything in the log; if it is to be driven again, it is not taken in.
 
     Raises:
         CannotResume: checkpoint or log do not fit the run's settings, or cannot be read.
@@ -77,7 +100,7 @@ def restore_snapshot(content: CheckpointContent | None, agent: AtHRL, store: Exp
             store.limiter.load_state(state["limiter"])
             store.restore(int(state["environment_steps"]))
         recovery = Recovery(store, ledger, content.log if content is not None else None)
-        recovery.run(state["replay"] if content is not None else None)
+        recovery.run(state["replay"] if content is not None else None, after_the_checkpoint)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 200)  # torch names every tensor
         raise CannotResume(
@@ -102,6 +125,6 @@ def _copied(state: Any) -> Any:
     return state
 
 
-def saved_version(content: CheckpointContent) -> int:
-    """The newest policy version when the checkpoint was taken."""
-    return content.policy_version
+def saved_version(content: CheckpointContent | None) -> int:
+    """The newest policy version when the checkpoint was taken; -1 without one."""
+    return content.policy_version if content is not None else -1

@@ -112,6 +112,19 @@ def test_only_damaged_checkpoints_are_an_error_and_no_new_start(tmp_path):
         newest_intact_checkpoint(tmp_path)
 
 
+def test_an_actor_in_the_same_process_comes_back_with_the_checkpoint(tmp_path):
+    alone = content()
+    assert read_checkpoint(write_checkpoint(tmp_path, alone)).actor is None
+    actor = {"steps": [1, 2], "state": torch.arange(3.0)}
+    path = write_checkpoint(tmp_path, dataclasses.replace(alone, actor=actor))
+    read = read_checkpoint(path).actor
+    assert read["steps"] == [1, 2]
+    assert torch.equal(read["state"], actor["state"])
+    (path / "actor.pt").write_bytes(b"")
+    with pytest.raises(DamagedCheckpoint, match=r"actor\.pt"):
+        read_checkpoint(path)
+
+
 def test_a_pickle_with_the_right_checksum_is_refused(tmp_path):
     # A file that does something when it is unpickled, with a manifest made to fit it.
     written = content()
@@ -194,7 +207,7 @@ def test_a_checkpoint_frees_the_segments_that_none_needs(tmp_path):
         log.append(Kind.CHUNK, b"%d" % number)
         segments = tuple(log.seal()[-3:])  # the replay has room for three
         position = LogPosition(log.next_segment, log.next_record, segments[0].first, segments)
-        checkpointer.write_last(dataclasses.replace(content(number), log=position))
+        checkpointer.write_now(dataclasses.replace(content(number), log=position))
     assert list(numbered_segments(log.folder)) == [5, 6, 7, 8]
 
 

@@ -4,6 +4,7 @@
         manifest.json     format version, checksums, the segments of the log that are the replay
         state.json        run file, counters, limiter, ledger, random states of the learner
         agent.pt          both planners: weights, targets, optimisers, averages
+        actor.pt          of a serial run alone: environments, noise, recurrent states, open chunks, policy
 
 Nothing in it is ever unpickled: JSON and `torch.load(weights_only=True)`.
 """

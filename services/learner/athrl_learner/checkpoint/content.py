@@ -16,6 +16,7 @@ FORMAT = 2
 MANIFEST = "manifest.json"
 STATE = "state.json"
 AGENT = "agent.pt"
+ACTOR = "actor.pt"
 UNFINISHED_SUFFIX = ".part"
 
 _NAME = re.compile(r"checkpoint-(\d{6,})")
@@ -29,11 +30,14 @@ class CheckpointContent:
         state: JSON-able: run file, counters, limiter, ledger, the replay's order, random states.
         agent: nested dictionaries and lists of tensors and plain values.
         log: where the log was, and which of its segments the replay is made of.
+        actor: of a serial run, its actor's whole state, likewise nested; None of a distributed run, whose
+            actors are processes of their own.
     """
 
     state: dict[str, Any]
     agent: dict[str, Any]
     log: LogPosition
+    actor: dict[str, Any] | None = None
 
     @property
     def policy_version(self) -> int:

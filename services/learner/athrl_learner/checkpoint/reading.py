@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from athrl_learner.checkpoint.content import (
+    ACTOR,
     AGENT,
     FORMAT,
     MANIFEST,
@@ -49,14 +50,19 @@ def newest_intact_checkpoint(folder: Path) -> tuple[Path, CheckpointContent] | N
     Raises:
         CannotResume: there are checkpoints, and all of them are damaged.
     """
-    checkpoints = [path for _, path in numbered_checkpoints(folder)]
-    for path in reversed(checkpoints):
+    damages: list[DamagedCheckpoint] = []
+    for _, path in reversed(numbered_checkpoints(folder)):
         try:
             return path, read_checkpoint(path)
         except DamagedCheckpoint as damage:
             log.warning("%s; using the one before", damage)
-    if checkpoints:
-        raise CannotResume(f"all {len(checkpoints)} checkpoints in {folder} are damaged: start a new run")
+            damages.append(damage)
+    if damages:
+        raise CannotResume(
+            f"no checkpoint in {folder} is whole, of {len(damages)}: {damages[0]}; nothing was changed. "
+            f"Start a new run under another run.name, or remove {folder} to train anew with the experience "
+            f"that is in {folder.parent / 'experience'}"
+        )
     return None
 
 
@@ -73,12 +79,18 @@ def read_checkpoint(path: Path) -> CheckpointContent:
     try:
         return CheckpointContent(
             state=json.loads((path / STATE).read_bytes()),
-            agent=torch.load(path / AGENT, map_location="cpu", weights_only=True),
+            agent=_loaded(path / AGENT),
             log=manifest.log,
+            actor=_loaded(path / ACTOR) if ACTOR in manifest.files else None,
         )
     except Exception as error:
         # The checksums agree, so this is no bit flip; whatever is wrong, an older checkpoint may be right.
         raise DamagedCheckpoint(f"checkpoint {path} cannot be read: {error}") from None
+
+
+def _loaded(path: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    return loaded
 
 
 def read_manifest(checkpoint: Path) -> Manifest:

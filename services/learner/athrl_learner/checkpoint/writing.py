@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 from athrl_learner.checkpoint.content import (
+    ACTOR,
     AGENT,
     FORMAT,
     MANIFEST,
@@ -54,12 +55,12 @@ def write_checkpoint(folder: Path, content: CheckpointContent, files: Files | No
 def _write_into(files: Files, part: Path, content: CheckpointContent) -> None:
     files.remove_folder(part)
     files.make_folder(part)
-    agent = io.BytesIO()
-    torch.save(content.agent, agent)
     facts = {
         STATE: _write_synced(files, part / STATE, json.dumps(content.state, indent=1).encode()),
-        AGENT: _write_synced(files, part / AGENT, agent.getbuffer()),
+        AGENT: _write_synced(files, part / AGENT, _saved(content.agent)),
     }
+    if content.actor is not None:
+        facts[ACTOR] = _write_synced(files, part / ACTOR, _saved(content.actor))
     manifest: dict[str, Any] = {
         "format": FORMAT,
         "policy_version": content.policy_version,
@@ -69,6 +70,12 @@ def _write_into(files: Files, part: Path, content: CheckpointContent) -> None:
     manifest["sha256"] = manifest_checksum(manifest)
     _write_synced(files, part / MANIFEST, json.dumps(manifest, indent=1).encode())
     files.sync_folder(part)
+
+
+def _saved(tensors: dict[str, Any]) -> memoryview:
+    content = io.BytesIO()
+    torch.save(tensors, content)
+    return content.getbuffer()
 
 
 def _write_synced(files: Files, path: Path, content: bytes | memoryview) -> dict[str, Any]:

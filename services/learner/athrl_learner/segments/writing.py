@@ -182,6 +182,22 @@ class SegmentLog:
                     self._sealed.pop(number, None)
         return removed
 
+    def remove_later(self) -> int:
+        """Remove the segments that an earlier process wrote behind where this log goes on; how many.
+
+        Raises:
+            LogFailed: the disk does not let them go.
+        """
+        later = [
+            path for number, path in numbered_segments(self.folder).items() if number >= self._next_segment
+        ]
+        try:
+            for path in reversed(later):  # so that what a kill leaves has no hole
+                self._files.remove(path)
+        except OSError as error:
+            raise LogFailed(f"cannot remove {path}: {error.strerror or error}") from None
+        return len(later)
+
     def close(self) -> None:
         """Close the files; what was appended stays."""
         with self._syncing, self._lock:

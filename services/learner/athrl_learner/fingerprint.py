@@ -1,0 +1,72 @@
+"""A short name for a state, by which two runs are compared: the same where every bit is the same."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from athrl_planners import AtHRL, SequenceReplay
+
+#: Hexadecimal digits that are shown of a SHA-256.
+DIGITS = 16
+
+_OPTIMISERS = ("critic_optimiser", "actor_optimiser")
+
+
+def fingerprint(state: Any) -> str:
+    """The first digits of a SHA-256 over nested dictionaries, lists, arrays, tensors and plain values.
+
+    Dictionaries go in the order of their keys; arrays with type and shape.
+
+    Raises:
+        TypeError: there is something else in it.
+    """
+    checksum = hashlib.sha256()
+    _add(checksum, state)
+    return checksum.hexdigest()[:DIGITS]
+
+
+def parameters(agent: AtHRL) -> str:
+    """Fingerprint of all weights of the planner: online, target and averaged."""
+    return fingerprint(_parts(agent, optimisers=False))
+
+
+def optimisers(agent: AtHRL) -> str:
+    """Fingerprint of the optimisers' states and of the generator of the planner's noise."""
+    return fingerprint([_parts(agent, optimisers=True), agent.state_dict()["noise"]])
+
+
+def replay_content(replay: SequenceReplay) -> str:
+    """Fingerprint of the replay: its sequences in their places, its counts and its generator."""
+    return fingerprint([replay.columns(), replay.state()])
+
+
+def _parts(agent: AtHRL, *, optimisers: bool) -> dict[str, dict[str, Any]]:
+    return {
+        level: {name: part for name, part in parts.items() if (name in _OPTIMISERS) == optimisers}
+        for level, parts in agent.state_dict()["levels"].items()
+    }
+
+
+def _add(checksum: Any, value: Any) -> None:
+    if isinstance(value, torch.Tensor):
+        value = value.detach().cpu().numpy()
+    if isinstance(value, np.ndarray):
+        checksum.update(f"array {value.dtype.str} {value.shape};".encode())
+        checksum.update(np.ascontiguousarray(value).data)
+    elif isinstance(value, Mapping):
+        checksum.update(f"mapping {len(value)};".encode())
+        for key in sorted(value, key=str):
+            checksum.update(f"{key}=".encode())
+            _add(checksum, value[key])
+    elif isinstance(value, list | tuple):
+        checksum.update(f"list {len(value)};".encode())
+        for item in value:
+            _add(checksum, item)
+    elif value is None or isinstance(value, bool | int | float | str):
+        checksum.update(f"{type(value).__name__} {value!r};".encode())
+    else:
+        raise TypeError(f"there is no fingerprint of a {type(value).__name__}")
