@@ -11,15 +11,15 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from pathlib import Path
 
 import numpy as np
-from athrl_driving.maps import TOWNS, Town, load_town
+from athrl_driving.maps import Town, load_town
 from athrl_driving.traffic.flow import drive, measure_flow
 from athrl_driving.traffic.spawn import place_vehicles
 from athrl_driving.traffic.state import EGO_FIELDS, new_traffic
 
-CARLA = Path(__file__).resolve().parents[2] / "shared" / "towns"
+from benchmarks.maps import add_map_options, chosen_maps
+
 TICKS_TIMED = 1000
 
 
@@ -54,20 +54,17 @@ def cost_of_a_tick(town: Town, vehicles: int) -> float:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--maps", nargs="+", help="names of towns or paths of OpenDRIVE files; default: all")
-    parser.add_argument("--carla", type=Path, default=CARLA, help="folder with CARLA's maps")
+    add_map_options(parser)
     parser.add_argument("--vehicles", type=int, nargs="+", default=[100])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--minutes", type=float, default=10.0, help="simulated minutes a seed")
     arguments = parser.parse_args()
 
-    maps = arguments.maps or [*sorted(TOWNS), *map(str, sorted(arguments.carla.glob("*.xodr")))]
     print(f"{'map':<24}{'vehicles':>9}{'speed':>8}{'of free':>9}{'worst':>7}{'still':>8}{'hits':>6}"
           f"{'changes':>9}{'us/tick':>9}{'us/vehicle':>12}")  # fmt: skip
     results: dict[str, list[dict[str, float]]] = {}
-    for name in maps:
+    for label, name in chosen_maps(arguments).items():
         town = load_town(name)
-        label = name if name in TOWNS else f"CARLA {town.name}"
         for vehicles in arguments.vehicles:
             found = measure(town, vehicles, arguments.seeds, arguments.minutes)
             results.setdefault(label, []).append(found)
