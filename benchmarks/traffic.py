@@ -34,11 +34,12 @@ SIZES = (25, 50, 100, 200, 400, 1000)
 
 
 class Result(NamedTuple):
-    """Frames a CPU second, and the greatest difference after one frame."""
+    """Frames a CPU second of both, the greatest difference after one frame, and how many were measured."""
 
     slow: float
     fast: float
     parity: float
+    frames: int
 
     @property
     def ratio(self) -> float:
@@ -53,10 +54,10 @@ def highway_road(vehicles: int) -> Road:
     return environment.road
 
 
-def town_road(vehicles: int, regulated: bool) -> Road:
+def town_road(town: str, vehicles: int, regulated: bool) -> Road:
     """Return the lanes of a town with so many IDM vehicles on random routes."""
     network = RoadNetwork()
-    network.graph = load_town("town03").network.graph
+    network.graph = load_town(town).network.graph
     random = np.random.default_rng(0)
     road = (RegulatedRoad if regulated else Road)(network, np_random=random)
     indices = list(network.lanes_dict())
@@ -108,7 +109,7 @@ def measure(plain: Road, frames: int) -> Result:
         seconds += run(plain), repeats / REPEATS
         parity = max(parity, difference(plain, accelerated))
     slow, fast = frames / seconds
-    return Result(slow, fast, parity)
+    return Result(slow, fast, parity, frames)
 
 
 def run(road: Road) -> float:
@@ -134,7 +135,7 @@ def measure_steps(vehicles: int, steps: int) -> Result:
             seconds[1] += step(other) / (REPEATS // 4)
         fast.step(1)
         seconds[0] += step(slow.unwrapped)
-    return Result(*(steps / seconds), 0.0)
+    return Result(*(steps / seconds), 0.0, steps)
 
 
 def step(environment: gymnasium.Env) -> float:
@@ -147,51 +148,58 @@ def step(environment: gymnasium.Env) -> float:
 def report(name: str, vehicles: int, result: Result) -> None:
     """Print a line of figures."""
     print(
-        f"{name:<24} {vehicles:>5} vehicles  highway-env {result.slow:9.2f}/s"
+        f"{name:<24} {vehicles:>5} vehicles {result.frames:>4} frames  highway-env {result.slow:9.3f}/s"
         f"  accelerated {result.fast:10.1f}/s  ratio {result.ratio:8.0f}  difference {result.parity:.1e}",
         flush=True,
     )
 
 
-def scale() -> None:
-    """Measure from few vehicles to many; a frame of the slow road takes up to minutes."""
+def scale() -> list[dict[str, float | str]]:
+    """Measure from few vehicles to many; a frame of the slow road takes up to half a minute.
+
+    A regulated road is measured over one round of its rules, the others over as few frames as tell enough.
+    """
+    found: list[dict[str, float | str]] = []
     for vehicles in SIZES:
-        frames = max(1, min(RULES_EVERY, 1000 // vehicles))
-        report("highway-v0", vehicles, measure(highway_road(vehicles), frames))
-        if vehicles <= 400:  # the town has no room for more
-            report("town03, no rules", vehicles, measure(town_road(vehicles, regulated=False), frames))
-        if vehicles <= 200:
-            report("town03, rules", vehicles, measure(town_road(vehicles, regulated=True), RULES_EVERY))
+        frames = max(2, min(3 * RULES_EVERY, 1000 // vehicles))
+        for name, road, count in (
+            ("highway-v0", highway_road(vehicles), frames),
+            ("town04, no rules", town_road("town04", vehicles, regulated=False), frames),
+            ("town04, rules", town_road("town04", vehicles, regulated=True), RULES_EVERY),
+        ):
+            result = measure(road, count)
+            report(name, vehicles, result)
+            found.append(
+                {"scene": name, "vehicles": vehicles, "ratio": round(result.ratio, 1)} | result._asdict()
+            )
+    return found
 
 
 def main() -> None:
     """Measure and print; the last line is one JSON object."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--long", action="store_true", help="also from 25 to 1,000 vehicles")
+    parser.add_argument("--scaling", action="store_true", help="also from 25 to 1,000 vehicles: ten minutes")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     logging.getLogger("highway_env").setLevel(logging.ERROR)
 
     highway = measure(highway_road(100), 3 * RULES_EVERY)
     report("highway-v0", 100, highway)
-    town = measure(town_road(100, regulated=True), 2 * RULES_EVERY)
+    town = measure(town_road("town03", 100, regulated=True), 2 * RULES_EVERY)
     report("town03, rules", 100, town)
     whole = measure_steps(100, 3)
     report("highway-v0, whole steps", 100, whole)
-    if arguments.long:
-        scale()
-    print(
-        json.dumps(
-            {
-                "town_regulated_100_ratio": round(town.ratio, 1),
-                "highway_100_ratio": round(highway.ratio, 1),
-                "highway_100_environment_step_ratio": round(whole.ratio, 1),
-                "town_regulated_100_frames": round(town.fast, 1),
-                "highway_100_frames": round(highway.fast, 1),
-                "parity_one_step_max": max(town.parity, highway.parity),
-            }
-        )
-    )
+    figures: dict[str, object] = {
+        "town_regulated_100_ratio": round(town.ratio, 1),
+        "highway_100_ratio": round(highway.ratio, 1),
+        "highway_100_environment_step_ratio": round(whole.ratio, 1),
+        "town_regulated_100_frames": round(town.fast, 1),
+        "highway_100_frames": round(highway.fast, 1),
+        "parity_one_step_max": max(town.parity, highway.parity),
+    }
+    if arguments.scaling:
+        figures["scaling"] = scale()
+    print(json.dumps(figures))
 
 
 if __name__ == "__main__":
