@@ -51,6 +51,8 @@ def _context(shown: Certificates | None) -> ssl.SSLContext:
 
 def _reason(error: ssl.SSLError, shown: Certificates | None) -> str | None:
     said = (error.reason or str(error)).lower().replace("_", " ")
+    if "unexpected eof" in said:  # closed without a word, as by a forwarder whose learner is away
+        return None
     if shown is None:
         # Who does not speak TLS is not to blame for that here.
         return None if _is_no_tls(said) else "it asks for a certificate: name a folder with --certificates"
@@ -65,4 +67,4 @@ def _reason(error: ssl.SSLError, shown: Certificates | None) -> str | None:
 
 
 def _is_no_tls(said: str) -> bool:
-    return any(words in said for words in ("wrong version", "record layer", "unexpected eof", "http"))
+    return any(words in said for words in ("wrong version", "record layer", "http"))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import os
+import socket
 import subprocess
+import threading
 from pathlib import Path
 
 import pytest
@@ -165,6 +168,24 @@ def test_learner_without_encryption_is_named(sessions, port: int, ours: Path) ->
         LearnerNotFound, match="does not answer in TLS, no learner or one without certificates"
     ):
         open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+
+
+def test_forwarder_whose_learner_is_away_is_no_refusal(port: int, ours: Path) -> None:
+    """As a published port of a container, or a balancer: it accepts, finds nobody behind it and closes."""
+    with socket.create_server(("127.0.0.1", port)) as forwarder:
+        over = threading.Event()
+
+        def accept_and_close() -> None:
+            while not over.is_set():
+                with contextlib.suppress(OSError):
+                    forwarder.accept()[0].close()
+
+        threading.Thread(target=accept_and_close, daemon=True).start()
+        try:
+            with pytest.raises(LearnerNotFound):
+                open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="actor", certificates=ours)
+        finally:
+            over.set()
 
 
 def test_folder_without_certificates_is_named(port: int, ours: Path, tmp_path: Path) -> None:

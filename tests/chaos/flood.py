@@ -1,0 +1,232 @@
+"""Messages and connections that must not get in.
+
+The messages are sent with an actor's own certificate, so nothing but the learner's checks is in their way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import random
+import socket
+import ssl
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import zenoh
+import zstandard
+from athrl_protocol import ProtocolError, athrl_pb2, open_session
+from athrl_protocol.certificates import find_certificates
+from athrl_protocol.keys import Keys
+from athrl_protocol.schema import encode_message
+
+from tests.chaos.cutter import HOST
+from tests.chaos.run import RUN, StormyRun
+
+_ANSWER_SECONDS = 2.0
+_JOIN_SECONDS = 20.0
+_IDLE_CONNECTIONS = 20
+_MOST_SETTLING = 20
+_TLS_ALERT = b"\x15"
+_BOMB_BYTES = 60 * 2**20
+
+
+@dataclass
+class Flood:
+    """What became of a flood's messages.
+
+    Attributes:
+        name: under which it was sent.
+        sent: messages.
+        refused: that the learner answered with a refusal for good.
+        settled: of those sent, the well formed ones that do not fit the run: they enter the ledger.
+        settled_answered: of those, the ones that were answered.
+        accepted: that were acknowledged; must be none.
+        unanswered: dropped on the link for their size, or asked while the learner was away.
+    """
+
+    name: str
+    sent: int = 0
+    refused: int = 0
+    settled: int = 0
+    settled_answered: int = 0
+    accepted: int = 0
+    unanswered: int = 0
+
+
+class Malformed(NamedTuple):
+    """A message that must be refused; by whom, and whether the refusal is written into the ledger."""
+
+    payload: bytes
+    sender: str
+    settles: bool = False
+
+
+def flood(run: StormyRun, counts: Flood, seed: int, seconds: float) -> None:
+    """Send malformed messages for so long, and count what became of them."""
+    messages = malformed_messages(counts.name, random.Random(seed))
+    with contextlib.suppress(zenoh.ZError, ProtocolError), _as_actor(run) as session:
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            _send(session, counts, next(messages))
+        # Beyond what the link takes; last, because nobody answers it.
+        _send(session, counts, Malformed(bytes(2**24), counts.name), timeout=0.5)
+
+
+def malformed_messages(name: str, chance: random.Random) -> Iterator[Malformed]:
+    """Yield messages without end, all of which have to be refused.
+
+    Who sends a well formed one has a name of its own for it, so that it is the first of its incarnation and
+    nothing depends on what became of those before; of these there are few, as every sender is remembered.
+    """
+    settling = 0
+    while True:
+        make = chance.choice(_MAKERS if settling < _MOST_SETTLING else _NEVER_CHUNKS)
+        settles = make in (_far_out, _other_shape)
+        settling += settles
+        sender = f"{name}-{settling}" if settles else name
+        yield Malformed(make(_fitting(sender), chance), sender, settles)
+
+
+def strangers(run: StormyRun, seconds: float) -> dict[str, int]:
+    """Connect without a certificate, in plain TCP, and without a word; return how many were turned away."""
+    turned_away = {"plain": 0, "no_certificate": 0}
+    deadline = time.monotonic() + seconds
+    with contextlib.ExitStack() as stack:
+        for _ in range(_IDLE_CONNECTIONS):
+            with contextlib.suppress(OSError):
+                stack.enter_context(socket.create_connection((HOST, run.port), timeout=1.0))
+        while time.monotonic() < deadline:
+            turned_away["plain"] += _turned_away(run, secure=False)
+            turned_away["no_certificate"] += _turned_away(run, secure=True)
+            time.sleep(0.05)
+    return turned_away
+
+
+def _send(
+    session: zenoh.Session, counts: Flood, message: Malformed, timeout: float = _ANSWER_SECONDS
+) -> None:
+    counts.sent += 1
+    counts.settled += message.settles
+    answered = False
+    key = Keys(RUN).experience(message.sender)
+    for reply in session.get(key, payload=message.payload, timeout=timeout):
+        if reply.ok is not None:
+            counts.accepted += 1
+            answered = True
+        elif reply.err is not None and _is_refusal(reply.err.payload.to_bytes()):
+            counts.refused += 1
+            counts.settled_answered += message.settles
+            answered = True
+    counts.unanswered += not answered
+
+
+def _is_refusal(payload: bytes) -> bool:
+    with contextlib.suppress(Exception):  # Zenoh's own time-out is no message of ours
+        return athrl_pb2.Refusal.FromString(payload).reason == athrl_pb2.Refusal.INVALID
+    return False
+
+
+def _as_actor(run: StormyRun) -> zenoh.Session:
+    return open_session(
+        connect=run.address, timeout=_JOIN_SECONDS, role="actor", certificates=run.certificates
+    )
+
+
+def _turned_away(run: StormyRun, *, secure: bool) -> bool:
+    """Whether somebody who says something the learner does not understand gets nothing out of it."""
+    try:
+        with socket.create_connection((HOST, run.port), timeout=1.0) as plain:
+            connection: socket.socket = plain
+            if secure:
+                shown = find_certificates(run.certificates, "viewer")
+                assert shown is not None
+                context = ssl.create_default_context(cafile=str(shown.authority))
+                connection = context.wrap_socket(plain, server_hostname=HOST)
+            connection.sendall(random.randbytes(300))
+            return connection.recv(1) in (b"", _TLS_ALERT)
+    except OSError:
+        return True
+
+
+def _fitting(sender: str) -> athrl_pb2.Chunk:
+    """Return a message that is a chunk of the run, to be spoilt."""
+    time_, size = 10, 32
+    images = zstandard.compress(bytes((time_ + 1) * size * size * 4))
+    message = athrl_pb2.Chunk(
+        actor=sender,
+        incarnation=1,
+        time=time_,
+        length=time_,
+        image_height=size,
+        image_width=size,
+        image_channels=4,
+        motion_size=2,
+        images=images,
+        motion=bytes(4 * 2 * (time_ + 1)),
+        policy_version=bytes(8 * time_),
+    )
+    for level, actions in (("intention", 1), ("trajectory", 2)):
+        message.levels.add(
+            name=level,
+            action_size=actions,
+            actions=bytes(4 * actions * time_),
+            rewards=bytes(4 * time_),
+            initial_state=bytes(4 * 64),
+        )
+    encode_message(message)  # puts the schema in
+    return message
+
+
+Maker = Callable[[athrl_pb2.Chunk, random.Random], bytes]
+
+
+def _noise(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    return b"\xff" + chance.randbytes(chance.choice([1, 16, 300, 5_000]))
+
+
+def _cut_off(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    content = chunk.SerializeToString()
+    return content[: chance.randrange(len(content) // 2)]
+
+
+def _other_schema(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    chunk.schema_hash = chance.getrandbits(32)
+    return chunk.SerializeToString()
+
+
+def _bomb(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    chunk.images = _compressed_bomb(chance.random() < 0.5)
+    return chunk.SerializeToString()
+
+
+def _not_a_number(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    bad = np.full(10, chance.choice([np.nan, np.inf]), np.float32)
+    chance.choice(chunk.levels).rewards = bad.tobytes()
+    return chunk.SerializeToString()
+
+
+def _far_out(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    chance.choice(chunk.levels).rewards = np.full(10, 1e30, np.float32).tobytes()
+    return chunk.SerializeToString()
+
+
+def _other_shape(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    chunk.motion_size, chunk.motion = 3, bytes(4 * 3 * 11)
+    return chunk.SerializeToString()
+
+
+def _too_large(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
+    return bytes(2**20)
+
+
+@functools.cache
+def _compressed_bomb(announced: bool) -> bytes:
+    return zstandard.ZstdCompressor(write_content_size=announced).compress(bytes(_BOMB_BYTES))
+
+
+_NEVER_CHUNKS: list[Maker] = [_noise, _cut_off, _other_schema, _bomb, _not_a_number, _too_large]
+_MAKERS: list[Maker] = [*_NEVER_CHUNKS, _far_out, _other_shape]

@@ -1,0 +1,160 @@
+"""The storm: starts the run, lets the faults come over it, ends it in order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+
+from tests.chaos.cutter import Cutter
+from tests.chaos.evidence import Evidence
+from tests.chaos.faults import Faults
+from tests.chaos.observer import Observer
+from tests.chaos.outages import Outage
+from tests.chaos.processes import Ending, Service, Supervisor
+from tests.chaos.run import EVALUATOR, LEARNER, StormyRun
+from tests.chaos.schedule import Group, schedule
+
+START_SECONDS = 240.0
+"""Within which everybody works; a busy machine compiles for long."""
+RECOVERY_SECONDS = 120.0
+"""Within which everybody works again; far more than it takes, since the machine may be busy."""
+END_SECONDS = 120.0
+SHORT_PAUSE, LONG_PAUSE = 9.0, 30.0
+
+
+@dataclass
+class Observed:
+    """What is known when all processes are gone.
+
+    Attributes:
+        outages: the faults as they happened.
+        faults: floods, damaged checkpoints and failures.
+        evidence: of the actors.
+        endings: of services that ended by themselves.
+        working: moments at which everybody worked for the first time, and at which the end was ordered.
+        updates: of the learner, at these two moments.
+        not_finite: metrics that were no numbers.
+        failures: what went wrong, one line each.
+    """
+
+    outages: list[Outage]
+    faults: Faults
+    evidence: Evidence
+    endings: list[Ending]
+    working: tuple[float, float]
+    updates: tuple[float, float]
+    not_finite: set[str] = field(default_factory=set)
+    failures: list[str] = field(default_factory=list)
+
+
+def storm(run: StormyRun, seed: int, seconds: float, say: Callable[[str], None]) -> Observed:
+    """Run it for so many seconds after everybody works; afterwards no process is left."""
+    with ExitStack() as stack:
+        cutter = stack.enter_context(Cutter(run.port, [*run.actors, EVALUATOR]))
+        services = {service.name: service for service in run.services(cutter.links)}
+        for service in services.values():
+            service.start()
+        stack.enter_context(Supervisor(list(services.values())))
+        observer = stack.enter_context(Observer(run, START_SECONDS))
+        evidence = Evidence(run.evidence)
+        faults = Faults(run, services, cutter.links, observer, evidence)
+        _await_everybody(run, faults)
+        began, updates = time.monotonic(), observer.metrics("learner", LEARNER).get("updates", 0.0)
+        say("everybody works; the storm begins")
+        longest = LONG_PAUSE if run.long else SHORT_PAUSE
+        outages = []
+        for group in schedule(seed, list(run.actors), EVALUATOR, longest_pause=longest):
+            if time.monotonic() - began >= seconds:
+                break
+            outages.append(_come_over(group, faults, say))
+        _recover(outages[-1:], faults)
+        ended = time.monotonic()
+        say("the storm is over; the run is ended in order")
+        failures = [*faults.failures, *_end(services)]
+        observer.archive()
+        evidence.read()
+        last = observer.metrics("learner", LEARNER).get("updates", 0.0)
+    endings = [ending for service in services.values() for ending in service.endings]
+    return Observed(
+        outages,
+        faults,
+        evidence,
+        endings,
+        (began, ended),
+        (updates, last),
+        set(observer.not_finite),
+        failures,
+    )
+
+
+def _await_everybody(run: StormyRun, faults: Faults) -> None:
+    """Wait until every actor's chunks are acknowledged, training has begun and the evaluator speaks."""
+
+    def works() -> bool:
+        return (
+            all(faults.evidence.last_acknowledgement(actor) > 0 for actor in run.actors)
+            and faults.observer.heard_at("evaluator", EVALUATOR) > 0
+            and faults.observer.metrics("learner", LEARNER).get("updates", 0.0) > 0
+        )
+
+    if not _within(START_SECONDS, works):
+        raise TimeoutError(f"the run did not work within {START_SECONDS:.0f} s: see {run.logs}")
+
+
+def _come_over(group: Group, faults: Faults, say: Callable[[str], None]) -> Outage:
+    """Let a group of faults happen, all at once, and wait for everybody's recovery if that is wanted."""
+    for fault in group.faults:
+        say(f"{fault.kind}: {fault.target}, {fault.seconds:.1f} s")
+    began = time.monotonic()
+    with ThreadPoolExecutor(len(group.faults)) as pool:
+        list(pool.map(faults.happen, group.faults))
+    outage = Outage(group, began, time.monotonic())
+    if group.merciful:
+        _recover([outage], faults)
+        if outage.recovered is not None:
+            say(f"recovered after {outage.recovered - outage.ended:.1f} s")
+            time.sleep(group.calm)
+    return outage
+
+
+def _recover(outages: list[Outage], faults: Faults) -> None:
+    """Wait for the recovery of those among these that were not yet waited for."""
+    for outage in outages:
+        if outage.recovered is not None:
+            continue
+        hit = outage.group.faults
+
+        def all_work(hit: tuple = hit, since: float = outage.ended) -> bool:
+            return all(faults.recovered(fault, since) for fault in hit)
+
+        if _within(RECOVERY_SECONDS, all_work):
+            outage.recovered = time.monotonic()
+        else:
+            what = " and ".join(f"{fault.kind} ({fault.target})" for fault in hit)
+            faults.failures.append(f"no recovery within {RECOVERY_SECONDS:.0f} s from: {what}")
+
+
+def _end(services: dict[str, Service]) -> list[str]:
+    """Let the actors hand over what they have, then everybody else end; what did not end as it should."""
+    learner, evaluator = services[LEARNER], services[EVALUATOR]
+    actors = [service for service in services.values() if service not in (learner, evaluator)]
+    failures = []
+    for together in (actors, [evaluator], [learner]):
+        with ThreadPoolExecutor(len(together)) as pool:
+            codes = list(pool.map(lambda service: service.stop(END_SECONDS), together))
+        for service, code in zip(together, codes, strict=True):
+            if code != 0:
+                failures.append(f"{service.name} ended with {code} instead of 0: {service.last_line()}")
+    return failures
+
+
+def _within(seconds: float, condition: Callable[[], bool]) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True

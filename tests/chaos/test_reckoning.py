@@ -1,0 +1,171 @@
+"""The reckoning finds what it is there for: each kind of loss, made on purpose."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # tests is no installed package
+
+import numpy as np
+from athrl_learner.segments import Kind, SegmentLog
+from athrl_protocol import Chunk, LevelColumns, encode_chunk
+
+from tests.chaos.content import read_chunk
+from tests.chaos.cutter import HOST, Cutter, Link
+from tests.chaos.evidence import Evidence
+from tests.chaos.outages import Outage, longest_stall
+from tests.chaos.reckoning import Account, compare, read_log
+from tests.chaos.schedule import Fault, Group
+from tests.chaos.schedule import Kind as FaultKind
+
+CHUNKS = 6
+WAIT = 0.3
+
+
+def chunk(sequence: int) -> Chunk:
+    """A chunk whose content nobody else's is."""
+    columns = LevelColumns(
+        np.full((4, 1), sequence, np.float32), np.zeros(4, np.float32), np.zeros(2, np.float32)
+    )
+    return Chunk(
+        actor="a",
+        incarnation=7,
+        sequence=sequence,
+        environment=0,
+        episode_seed=sequence,
+        first_step=0,
+        length=4,
+        images=np.zeros((5, 4, 4, 4), np.uint8),
+        motion=np.zeros((5, 2), np.float32),
+        levels={"intention": columns},
+        policy_version=np.zeros(4, np.int64),
+        terminated=False,
+        truncated=False,
+    )
+
+
+MESSAGES = [encode_chunk(chunk(sequence)) for sequence in range(CHUNKS)]
+
+
+def account(folder: Path, written: list[bytes], acknowledged: int = CHUNKS) -> Account:
+    """What the reckoning says of a log that was written so, when all of MESSAGES were made."""
+    experience = folder / "experience"
+    experience.mkdir()
+    log = SegmentLog(experience, segment_bytes=2**20, fsync="never", reserve_bytes=0)
+    for message in written:
+        log.append(Kind.CHUNK, message)
+    log.close()
+    lines = []
+    for number, message in enumerate(MESSAGES):
+        identity, content = read_chunk(message)
+        words = " ".join(map(str, (*identity, *content)))
+        lines.append(f"produced 1.0 {words}")
+        if number < acknowledged:
+            lines.append(f"acknowledged 2.0 {words}")
+    (folder / "a.txt").write_text("\n".join(lines) + "\n" + lines[0][:20])
+    evidence = Evidence(folder)
+    evidence.read()
+    return compare(evidence, read_log(experience))
+
+
+def test_account_of_a_whole_log_balances(tmp_path: Path) -> None:
+    assert account(tmp_path, MESSAGES) == Account(CHUNKS, CHUNKS, CHUNKS, 4 * CHUNKS, 0, 0, 0)
+
+
+def test_chunk_that_is_stored_and_not_yet_acknowledged_is_no_loss(tmp_path: Path) -> None:
+    found = account(tmp_path, MESSAGES, acknowledged=3)
+    assert (found.acknowledged, found.lost, found.twice, found.foreign) == (3, 0, 0, 0)
+
+
+def test_missing_chunk_is_lost(tmp_path: Path) -> None:
+    assert account(tmp_path, MESSAGES[:2] + MESSAGES[3:]).lost == 1
+
+
+def test_chunk_that_was_taken_twice_is_found(tmp_path: Path) -> None:
+    assert account(tmp_path, [*MESSAGES, MESSAGES[2]]).twice == 1
+
+
+def test_content_that_was_taken_under_two_names_is_found(tmp_path: Path) -> None:
+    again = encode_chunk(replace(chunk(2), sequence=99))
+    found = account(tmp_path, [*MESSAGES, again])
+    assert (found.twice, found.foreign) == (2, 1)
+
+
+def test_altered_chunk_is_lost_and_foreign(tmp_path: Path) -> None:
+    other = encode_chunk(replace(chunk(2), environment=5))
+    found = account(tmp_path, [*MESSAGES[:2], other, *MESSAGES[3:]])
+    assert (found.lost, found.foreign) == (1, 1)
+
+
+def test_missing_segment_is_told(tmp_path: Path) -> None:
+    account(tmp_path, MESSAGES)
+    log = SegmentLog(tmp_path / "experience", segment_bytes=2**20, fsync="never", reserve_bytes=0)
+    log.go_on(3, CHUNKS + 5, [])
+    log.append(Kind.CHUNK, MESSAGES[0])
+    log.close()
+    assert any("comes where 6 should" in problem for problem in read_log(tmp_path / "experience").problems)
+
+
+def test_stall_counts_only_while_all_is_well() -> None:
+    fault = Fault(FaultKind.LEARNER_KILLED, "learner", 1.0, 0)
+    waited_for = Outage(Group((fault,), 1.0, merciful=True), 10.0, 14.0, recovered=20.0)
+    not_waited_for = Outage(Group((fault,), 1.0, merciful=False), 30.0, 34.0)
+    last = Outage(Group((fault,), 1.0, merciful=True), 35.0, 36.0, recovered=50.0)
+    moments = [1.0, 4.0, 9.0, 20.0, 22.0, 28.0, 50.0, 51.0]
+    assert longest_stall(moments, [waited_for, not_waited_for, last], 0.0, 53.0) == 6.0
+    assert longest_stall([], [], 0.0, 53.0) == 53.0
+
+
+@pytest.fixture
+def linked() -> Iterator[tuple[Link, socket.socket, socket.socket]]:
+    """A link with the service's end and the learner's end of one connection through it."""
+    with ExitStack() as stack:
+        learner = stack.enter_context(socket.create_server((HOST, 0)))
+        cutter = stack.enter_context(Cutter(learner.getsockname()[1], ["a"]))
+        link = cutter.links["a"]
+        service = stack.enter_context(socket.create_connection((HOST, link.port), timeout=20.0))
+        accepted = stack.enter_context(learner.accept()[0])
+        accepted.settimeout(20.0)
+        yield link, service, accepted
+
+
+def silent(end: socket.socket) -> bool:
+    """Whether nothing arrives for a while."""
+    end.settimeout(WAIT)
+    try:
+        end.recv(10)
+    except TimeoutError:
+        return True
+    finally:
+        end.settimeout(20.0)
+    return False
+
+
+def test_silent_link_lets_nothing_through_and_loses_nothing(linked) -> None:
+    link, service, learner = linked
+    link.silence(outward=True, inward=False)
+    threading.Event().wait(WAIT)
+    service.sendall(b"out")
+    assert silent(learner)
+    learner.sendall(b"in")
+    assert service.recv(10) == b"in"
+    link.heal()
+    assert learner.recv(10) == b"out"
+
+
+def test_cut_link_ends_connections_and_refuses_new_ones(linked) -> None:
+    link, service, _ = linked
+    link.cut()
+    with pytest.raises(ConnectionResetError):
+        service.recv(10)
+    with socket.create_connection((HOST, link.port), timeout=20.0) as again, contextlib.suppress(OSError):
+        assert again.recv(10) == b""

@@ -1,0 +1,83 @@
+"""The short storm. The long one: python -m tests.chaos --seed N --minutes M."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # tests is no installed package
+
+from tests.chaos.schedule import Group, Kind, schedule
+
+ROOT = Path(__file__).parents[2]
+SEED, MINUTES = 2, 1.6
+PATIENCE = 200.0
+
+pytestmark = pytest.mark.timeout(900)
+
+
+def begin(command, folder: Path, *, seed: int, minutes: float) -> subprocess.Popen[str]:
+    words = ["--seed", str(seed), "--minutes", str(minutes), "--folder", str(folder)]
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.chaos", *words],
+        cwd=ROOT,
+        env=command.environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+def test_nothing_is_lost_or_taken_twice_in_a_storm(command, tmp_path: Path) -> None:
+    storm = begin(command, tmp_path / "storm", seed=SEED, minutes=MINUTES)
+    command.started.append(storm)
+    said, _ = storm.communicate(timeout=800)
+    assert storm.returncode == 0, said[-4000:]
+    report = json.loads(said.splitlines()[-1])
+    assert report["failures"] == []
+    assert report["faults"] >= 4
+    assert report["acknowledged"] > 200
+    assert (report["lost"], report["twice"]) == (0, 0)
+    assert report["longest_stall_s"] >= 0.0
+    assert report["malformed_refused"] >= 0
+    assert not command.left()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_storm_leaves_no_process(command, tmp_path: Path, eventually, number) -> None:
+    storm = begin(command, tmp_path / "storm", seed=1, minutes=5.0)
+    command.started.append(storm)
+    eventually(lambda: len(command.left()) >= 5, PATIENCE)  # storm, learner, two actors, evaluator
+    storm.send_signal(number)
+    said, _ = storm.communicate(timeout=PATIENCE)
+    assert storm.returncode == 130, said[-2000:]
+    eventually(lambda: not command.left(), 30.0)
+
+
+def first(seed: int, count: int) -> list[Group]:
+    return list(itertools.islice(schedule(seed, ["a", "b"], "e", longest_pause=9.0), count))
+
+
+def test_seed_decides_about_the_faults() -> None:
+    assert first(5, 50) == first(5, 50)
+    assert first(5, 50) != first(6, 50)
+
+
+def test_every_kind_of_fault_comes_before_long() -> None:
+    for seed in range(20):
+        faults = [fault for group in first(seed, 30) for fault in group.faults]
+        assert {fault.kind for fault in faults} == set(Kind)
+
+
+def test_faults_that_come_together_have_different_targets() -> None:
+    groups = [group for group in first(3, 400) if len(group.faults) == 2]
+    assert len(groups) > 50
+    assert all(one.target != other.target for one, other in (group.faults for group in groups))

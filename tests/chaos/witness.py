@@ -1,0 +1,87 @@
+"""An actor that writes down what it made and what the learner acknowledged; else it is `athrl actor`.
+
+    python -m tests.chaos.witness FILE actor --connect ...
+
+Each line of the file is written in one piece as it happens, so it is there whatever becomes of the actor:
+
+    event time actor incarnation sequence length digest
+
+The event is produced, acknowledged, refused or given-up, the time the machine's monotonic clock. An actor
+that ends in order adds its counters: statistics time actor incarnation JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from dataclasses import asdict
+
+import athrl_protocol.upload
+from athrl.command import main
+from athrl_protocol.upload_window import Reason, UploadWindow
+
+from tests.chaos.content import Content, Identity, read_chunk
+
+
+class WitnessedWindow(UploadWindow):
+    """The uploader's window, which tells what becomes of its chunks."""
+
+    descriptor = -1
+
+    def __init__(self, capacity: int) -> None:
+        super().__init__(capacity)
+        self._known: dict[int, tuple[Identity, Content]] = {}
+        self._last: Identity | None = None
+
+    def add(self, encoded: bytes) -> None:
+        identity, content = read_chunk(encoded)
+        self._known[identity.sequence] = (identity, content)
+        self._last = identity
+        self._tell("produced", identity.sequence)
+        super().add(encoded)
+
+    def acknowledge(self, next_sequence: int) -> None:
+        before = list(self._held)
+        super().acknowledge(next_sequence)
+        self._settle("acknowledged", before)
+
+    def give_up(self, sequence: int) -> None:
+        before = list(self._held)
+        super().give_up(sequence)
+        self._settle("refused", before)
+
+    def give_up_all(self, reason: Reason) -> None:
+        before = list(self._held)
+        super().give_up_all(reason)
+        self._settle("given-up", before)
+        if reason == "closed" and self._last is not None:
+            counters = json.dumps(asdict(self.statistics()), separators=(",", ":"))
+            self._write("statistics", self._last.actor, self._last.incarnation, counters)
+
+    def _settle(self, event: str, before: list[int]) -> None:
+        for sequence in before:
+            if sequence not in self._held:
+                self._tell(event, sequence)
+                del self._known[sequence]
+
+    def _tell(self, event: str, sequence: int) -> None:
+        identity, content = self._known[sequence]
+        self._write(event, *identity, *content)
+
+    def _write(self, event: str, *words: object) -> None:
+        line = " ".join(map(str, (event, time.monotonic(), *words))) + "\n"
+        os.write(self.descriptor, line.encode())
+
+
+def witness() -> None:
+    """Be the actor."""
+    path = sys.argv.pop(1)
+    WitnessedWindow.descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+    athrl_protocol.upload.UploadWindow = WitnessedWindow  # type: ignore[misc]
+    main()
+
+
+if __name__ == "__main__":
+    witness()
