@@ -18,20 +18,23 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.parts import make_experience
+from athrl_learner.store import ExperienceStore
 from athrl_protocol import ChunkIntake, RunFile, open_session, read_run_file
 
 from benchmarks.light_actor import RUN, STEPS
 
 _PATIENCE = 60.0
+_FILLED_WITHIN = 120.0
 
 
 @contextlib.contextmanager
-def light_actors(address: str, count: int) -> Iterator[None]:
-    """So many actors at work, each a process of its own."""
+def light_actors(address: str, count: int) -> Iterator[list[dict[str, Any]]]:
+    """So many actors at work, each a process of its own; what they report is in the list afterwards."""
     command = [sys.executable, "-m", "benchmarks.light_actor", address]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     actors = [subprocess.Popen([*command, f"actor-{number}"], **pipes) for number in range(count)]
@@ -39,7 +42,11 @@ def light_actors(address: str, count: int) -> Iterator[None]:
         for actor in actors:
             if actor.stdout.readline() != b"ready\n":
                 sys.exit("an actor could not be started")
-        yield
+        reports: list[dict[str, Any]] = []
+        yield reports
+        for actor in actors:
+            actor.stdin.close()
+        reports += [json.loads(actor.stdout.readline()) for actor in actors]
     finally:
         for actor in actors:
             actor.stdin.close()
@@ -48,7 +55,7 @@ def light_actors(address: str, count: int) -> Iterator[None]:
 
 
 def rate(run_file: RunFile, actors: int, seconds: float, folder: Path) -> dict[str, float]:
-    """Transitions a second that are taken in, and the learner's seconds of a core for each second."""
+    """Transitions a second that are taken in, and what they cost the learner and the actors."""
     store = make_experience(
         run_file, translation.make_agent(run_file), Arrivals(), translation.make_log(run_file, folder)
     )
@@ -60,22 +67,36 @@ def rate(run_file: RunFile, actors: int, seconds: float, folder: Path) -> dict[s
         open_session(listen=address, timeout=_PATIENCE) as session,
         ChunkIntake(session, RUN, store) as intake,
     ):
-        with light_actors(address, actors):
-            time.sleep(1.0)  # until all are under way
+        with light_actors(address, actors) as reports:
+            # The replay's memory is touched for the first time until it is full, which costs more.
+            fill(store)
             before, began, busy = store.environment_steps, time.perf_counter(), time.process_time()
             written = store.log.size_bytes
             time.sleep(seconds)
             taken, elapsed = store.environment_steps - before, time.perf_counter() - began
             busy, written = time.process_time() - busy, store.log.size_bytes - written
-        statistics = intake.statistics()
-    if statistics.stored * STEPS != store.environment_steps:
-        sys.exit(f"{statistics.stored} chunks are {store.environment_steps} steps: something was lost")
+        stored, steps = intake.statistics().stored, store.environment_steps
+    acknowledged = sum(report["acknowledged"] for report in reports)
+    if not acknowledged == stored == steps / STEPS:
+        sys.exit(f"{acknowledged} chunks acknowledged, {stored} stored, {steps} steps: something was lost")
+    actors_busy = sum(report["busy"] for report in reports)
     return {
         "actors": actors,
         "transitions_per_second": taken / elapsed,
         "learner_cores": busy / elapsed,
+        "learner_microseconds": 1e6 * busy / taken,  # of a core, for one transition
+        "actors_microseconds": 1e6 * actors_busy / steps,
         "log_mebibytes_per_second": written / 2**20 / elapsed,
     }
+
+
+def fill(store: ExperienceStore) -> None:
+    """Wait until the replay is full."""
+    deadline = time.monotonic() + _FILLED_WITHIN
+    while store.replay.sequences < store.replay.slots:
+        if time.monotonic() > deadline:
+            sys.exit(f"the replay was not full within {_FILLED_WITHIN:g} s")
+        time.sleep(0.1)
 
 
 def main() -> None:
@@ -92,6 +113,7 @@ def main() -> None:
             f"replay.sequence_length={STEPS}",
             "learner.samples_per_insert=0.001",
             "run.environment_steps=1000000000",
+            "replay.capacity=25600",
             f"durability.fsync={arguments.fsync}",
         ],
     )
@@ -102,7 +124,8 @@ def main() -> None:
         rows.append({name: round(value, 2) for name, value in row.items()})
         print(
             f"{actors:3d} actors: {row['transitions_per_second']:9,.0f} transitions/s, "
-            f"the learner takes {row['learner_cores']:.2f} cores"
+            f"the learner takes {row['learner_cores']:.2f} cores; a transition costs it "
+            f"{row['learner_microseconds']:.1f} us of a core, an actor {row['actors_microseconds']:.1f} us"
         )
     print(json.dumps({"cores": os.cpu_count(), "fsync": arguments.fsync, "rows": rows}))
 

@@ -1,12 +1,16 @@
 """An actor that drives nothing: sends ready-made chunks as fast as the learner takes them.
 
-Arguments: address, name. Says "ready" when it is connected, and sends until its input is closed.
+Arguments: address, name. Says "ready" when it is connected, sends until its input is closed, and says then
+how many seconds of a core that took, and what became of its chunks, as a JSON object.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import threading
+import time
+from dataclasses import asdict
 
 from athrl_protocol import ChunkUploader, new_incarnation, open_session
 
@@ -29,9 +33,12 @@ def main(address: str, name: str) -> None:
     ):
         print("ready", flush=True)
         threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
-        sent = 0
+        sent, busy = 0, time.process_time()
         while not stop.is_set():
             sent += uploader.submit(chunks[sent % _READY], timeout=0.1)
+        busy = time.process_time() - busy
+        uploader.flush(_PATIENCE)
+        print(json.dumps({"busy": busy, **asdict(uploader.statistics())}), flush=True)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@ A chunk is acknowledged only after `accept` has returned, and is handed to `acce
 arrives. `accept` runs in the intake's thread. It may wait a little for room (less than 0.1 s, because other
 actors' chunks queue behind it) and then raise IntakeBusy, whereupon the actor sends the chunk again.
 
-What waits in the queue is taken in as one batch, and answered when `Receiver.commit` has returned, so that
-a disk is asked once for many chunks.
+A chunk is answered when `Receiver.commit` has returned. Where that takes time, because a disk is waited for,
+what waits in the queue is taken in for as long as the last commit took and answered together: a fast disk
+makes for quick answers, a slow one is asked once for many chunks.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -39,8 +41,11 @@ _log = logging.getLogger(__name__)
 QUEUE_CAPACITY = 256
 # Queries that are answered together; more would let the first of them wait for long.
 BATCH = 32
-CREDITS = 8
+# Of one actor: enough that neither side waits for the other's turn on a busy machine or a slow network.
+CREDITS = 32
 ACTIVE_SECONDS = 10.0
+# How often silent actors are looked for; not every chunk pays for looking at a thousand of them.
+FORGET_SECONDS = 0.5
 CLOSE_SECONDS = 5.0
 
 
@@ -151,6 +156,8 @@ class ChunkIntake(Closing):
         self._ledger = ledger if isinstance(ledger, Ledger) else Ledger(ledger)
         self._statistics = IntakeStatistics()
         self._heard: dict[str, float] = {}
+        self._forgot_at = -math.inf  # when silent actors were taken out of `_heard`
+        self._commit_seconds = 0.0  # how long the last commit took
         self._lock = threading.RLock()
         self._stopped: athrl_pb2.Refusal.Reason | None = None
         self.failure: Exception | None = None
@@ -183,7 +190,8 @@ class ChunkIntake(Closing):
         """Return the counts."""
         with self._lock:
             statistics = copy.deepcopy(self._statistics)
-            statistics.active_actors = self._active_actors()
+            self._forget_silent_actors(time.monotonic())
+            statistics.active_actors = len(self._heard)
             statistics.invalid = self._refusals.by_reason()
             statistics.invalid_by_sender = self._refusals.by_sender()
             totals = self._ledger.totals
@@ -212,20 +220,26 @@ class ChunkIntake(Closing):
     def _serve(self, queries: zenoh.handlers.Handler[zenoh.Query]) -> None:
         while True:
             try:
-                batch = [queries.recv()]
-                while len(batch) < BATCH and (query := queries.try_recv()) is not None:
-                    batch.append(query)
+                query: zenoh.Query | None = queries.recv()
             except zenoh.ZError:  # closed
                 return
-            self._answer([_Answer(query, self._judge(query)) for query in batch])
+            until = time.monotonic() + self._commit_seconds
+            answers = []
+            while query is not None:
+                answers.append(_Answer(query, self._judge(query)))
+                full = len(answers) >= BATCH or time.monotonic() >= until
+                query = None if full else _next_of(queries)
+            self._answer(answers)
 
     def _answer(self, answers: list[_Answer]) -> None:
         """Send the answers once all that they promise is safe; promise nothing if it is not."""
+        began = time.monotonic()
         try:
             self._receiver.commit()
         except Exception as error:
             self._fail(error)
             answers = [_Answer(query, self._busy()) for query, _ in answers]
+        self._commit_seconds = time.monotonic() - began
         for query, message in answers:
             with query:
                 try:
@@ -299,15 +313,27 @@ class ChunkIntake(Closing):
         return self._acknowledgement(self._ledger.record(chunk))
 
     def _acknowledgement(self, next_sequence: int) -> athrl_pb2.Acknowledgement:
-        share = QUEUE_CAPACITY // max(1, self._active_actors())
-        return athrl_pb2.Acknowledgement(next_sequence=next_sequence, credits=max(1, min(CREDITS, share)))
+        return athrl_pb2.Acknowledgement(next_sequence=next_sequence, credits=self._credits())
 
-    def _active_actors(self) -> int:
+    def _credits(self) -> int:
+        """Return how many chunks each actor may have under way."""
         now = time.monotonic()
+        if now - self._forgot_at >= FORGET_SECONDS:
+            self._forget_silent_actors(now)
+        return max(1, min(CREDITS, QUEUE_CAPACITY // max(1, len(self._heard))))
+
+    def _forget_silent_actors(self, now: float) -> None:
         self._heard = {actor: heard for actor, heard in self._heard.items() if now - heard < ACTIVE_SECONDS}
-        return len(self._heard)
+        self._forgot_at = now
 
     def _busy(self) -> athrl_pb2.Refusal:
         with self._lock:
             self._statistics.busy += 1
         return athrl_pb2.Refusal(reason=athrl_pb2.Refusal.BUSY)
+
+
+def _next_of(queries: zenoh.handlers.Handler[zenoh.Query]) -> zenoh.Query | None:
+    """Return a query that waits, None if there is none or the queue is closed."""
+    with contextlib.suppress(zenoh.ZError):
+        return queries.try_recv()
+    return None

@@ -3,8 +3,9 @@
 Every chunk is a query and is held until the learner has acknowledged it. Silence means that the link or
 the learner died: everything held is sent again from the oldest on, ten times a second until somebody
 answers. What is held is bounded, and when the bound is reached the actor waits: while nobody answers it is
-the capacity; while the learner answers it is the credits it gives, so an actor that is told "busy" stops
-driving instead of piling up experience of an old policy.
+the capacity; while the learner says "busy" it is a few, so that an actor stops driving instead of piling up
+experience of an old policy; while the learner takes chunks in it is twice the credits it gives, so that some
+are ready to go while others are under way, and actor and learner work at the same time and not by turns.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ IDLE_SECONDS = 1.0
 SILENCE_PAUSE_SECONDS = 0.1
 # Without an answer over a standing connection until somebody is told; the first chunk may time out once.
 COMPLAINT_SECONDS = 10.0
+HELD_WHILE_BUSY = 8
 SHORTEST_BUSY_PAUSE_SECONDS = 0.01
 LONGEST_BUSY_PAUSE_SECONDS = 0.05
 
@@ -50,9 +52,20 @@ class _Outcome(Enum):
     SILENCE = auto()
 
 
+class _Learner(Enum):
+    """What the learner did last, which bounds what is held."""
+
+    SILENT = auto()
+    BUSY = auto()
+    TAKING = auto()
+
+
 class _UnderWay(NamedTuple):
     sequence: int
     replies: zenoh.handlers.Handler[zenoh.Reply]
+
+
+_SAID = {_Outcome.SILENCE: _Learner.SILENT, _Outcome.BUSY: _Learner.BUSY}
 
 
 class ChunkUploader(Closing):
@@ -72,9 +85,11 @@ class ChunkUploader(Closing):
         self._incarnation = incarnation
         self._window = UploadWindow(capacity)
         self._changed = threading.Condition()
+        self._submitting = threading.Lock()  # taken before `_changed`; one chunk is encoded after another
         self._under_way: deque[_UnderWay] = deque()  # of the thread alone
         self._credits = 1
-        self._answered = False  # whether the learner answered what was sent last
+        self._probing = True  # one chunk at a time until one is taken
+        self._learner = _Learner.SILENT
         self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
         self._silent_since: float | None = None  # over a standing connection
         self._finished = False
@@ -105,20 +120,31 @@ class ChunkUploader(Closing):
         Raises:
             InvalidMessage: the chunk itself is not valid.
         """
-        with self._changed:
-            self._changed.wait_for(lambda: not self._is_full or self._is_over(), timeout)
-            if self._is_full or self._is_over():
-                return False
+        with self._submitting:
+            with self._changed:
+                self._changed.wait_for(lambda: not self._is_full or self._is_over(), timeout)
+                if self._is_full or self._is_over():
+                    return False
+                sequence = self._window.next_sequence  # nobody else adds
             numbered = dataclasses.replace(
                 chunk,
                 actor=self._actor,
                 incarnation=self._incarnation,
-                sequence=self._window.next_sequence,
+                sequence=sequence,
                 oldest_held=0,
             )
-            self._window.add(encode_chunk(numbered))
-            self._changed.notify_all()
-            return True
+            encoded = encode_chunk(numbered)  # outside of the lock that the thread needs to send others
+            with self._changed:
+                if self._is_over():
+                    return False
+                self._window.add(encoded)
+                self._changed.notify_all()
+                return True
+
+    def give_up(self, chunks: int) -> None:
+        """Count chunks that were made and will not be submitted, because the bound was reached."""
+        with self._changed:
+            self._window.leave_out(chunks)
 
     def flush(self, timeout: float) -> bool:
         """Wait at most `timeout` seconds until every chunk is settled; return whether that is so."""
@@ -140,12 +166,17 @@ class ChunkUploader(Closing):
         self._thread.join(timeout=ANSWER_SECONDS)
         undeclare_quietly(self._querier)
         with self._changed:
-            self._window.give_up_all()
+            self._window.give_up_all("closed")
             self._changed.notify_all()
 
     @property
     def _is_full(self) -> bool:
-        return self._window.is_full or (self._answered and len(self._window) >= self._credits)
+        held = len(self._window)
+        if self._learner is _Learner.BUSY and held >= HELD_WHILE_BUSY:
+            return True
+        if self._learner is _Learner.TAKING and held >= 2 * self._credits:
+            return True
+        return self._window.is_full
 
     def _is_over(self) -> bool:
         return self._finished or self._closed.is_set()
@@ -169,7 +200,7 @@ class ChunkUploader(Closing):
             return not self._window.is_empty and not self._window.has_unsent
 
     def _send_what_may_go(self) -> None:
-        while len(self._under_way) < self._credits:
+        while len(self._under_way) < (1 if self._probing else self._credits):
             with self._changed:
                 taken = self._window.take()
             if taken is None:
@@ -185,9 +216,10 @@ class ChunkUploader(Closing):
         outcome = self._outcome_of(oldest)
         self._complain_about_silence(outcome)
         with self._changed:
-            self._answered = outcome is not _Outcome.SILENCE
+            self._learner = _SAID.get(outcome, _Learner.TAKING)
             self._changed.notify_all()
         if outcome is _Outcome.GO_ON:
+            self._probing = False
             self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
             return
         # The later ones cannot have been stored before this one; their answers only confirm that.
@@ -216,10 +248,10 @@ class ChunkUploader(Closing):
         """Begin again with what is held, after a pause that fits."""
         self._under_way.clear()
         if outcome is not _Outcome.REWIND:
+            self._probing = True
             with self._changed:
                 self._window.rewind()
         if outcome is _Outcome.SILENCE:
-            self._credits = 1
             self._closed.wait(SILENCE_PAUSE_SECONDS)
         elif outcome is _Outcome.BUSY:
             self._closed.wait(self._busy_pause)
@@ -261,7 +293,7 @@ class ChunkUploader(Closing):
                 return _Outcome.GO_ON
             if message.reason == athrl_pb2.Refusal.FINISHED:
                 self._finished = True
-                self._window.give_up_all()
+                self._window.give_up_all("finished")
                 self._changed.notify_all()
                 return _Outcome.GO_ON
         return _Outcome.SILENCE

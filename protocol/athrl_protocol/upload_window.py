@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Reason = Literal["invalid", "finished", "closed", "bound"]
+"""Why a chunk was given up: the learner refused it for good; the run was over; the uploader was closed while
+it was held; it was never submitted because the bound was reached."""
+REASONS: tuple[Reason, ...] = ("invalid", "finished", "closed", "bound")
 
 
 @dataclass(frozen=True)
@@ -10,11 +16,12 @@ class UploadStatistics:
     """Counts of chunks; `produced` is the sum of acknowledged, given up and waiting.
 
     Attributes:
-        produced: taken from the actor.
+        produced: made by the actor: taken from it, or given up because the bound was reached.
         acknowledged: stored by the learner.
         resent: sent once more, after silence, "busy" or a rewind.
-        given_up: refused as invalid, or left when the run was over or the uploader was closed.
+        given_up: for whatever reason.
         waiting: held, not yet acknowledged.
+        given_up_by_reason: the same by reason, each of `REASONS`.
     """
 
     produced: int
@@ -22,6 +29,7 @@ class UploadStatistics:
     resent: int
     given_up: int
     waiting: int
+    given_up_by_reason: dict[str, int]
 
 
 class UploadWindow:
@@ -32,12 +40,12 @@ class UploadWindow:
             raise ValueError(f"capacity is {capacity}, should be at least 1")
         self._capacity = capacity
         self._held: dict[int, bytes] = {}  # by sequence, in order
-        self._produced = 0
+        self._added = 0
         self._next = 0
         self._sent_up_to = 0
         self._acknowledged = 0
         self._resent = 0
-        self._given_up = 0
+        self._given_up: dict[str, int] = dict.fromkeys(REASONS, 0)
 
     def __len__(self) -> int:
         return len(self._held)
@@ -60,18 +68,18 @@ class UploadWindow:
     @property
     def next_sequence(self) -> int:
         """Sequence of the next chunk to be added."""
-        return self._produced
+        return self._added
 
     def add(self, encoded: bytes) -> None:
         """Hold a chunk that was encoded with `next_sequence`."""
-        self._held[self._produced] = encoded
-        self._produced += 1
+        self._held[self._added] = encoded
+        self._added += 1
 
     def take(self) -> tuple[int, int, bytes] | None:
         """Return (sequence, oldest held sequence, encoded chunk) of what goes next, or None."""
-        while self._next < self._produced and self._next not in self._held:
+        while self._next < self._added and self._next not in self._held:
             self._next += 1
-        if self._next >= self._produced:
+        if self._next >= self._added:
             return None
         sequence = self._next
         self._next += 1
@@ -89,7 +97,7 @@ class UploadWindow:
 
     def rewind(self) -> None:
         """Begin again with the oldest held chunk."""
-        self._next = next(iter(self._held), self._produced)
+        self._next = next(iter(self._held), self._added)
 
     def rewind_to(self, sequence: int) -> None:
         """Begin again with `sequence`, or with the oldest held chunk if that is newer."""
@@ -99,15 +107,24 @@ class UploadWindow:
     def give_up(self, sequence: int) -> None:
         """Drop one chunk that the learner will never take."""
         if self._held.pop(sequence, None) is not None:
-            self._given_up += 1
+            self._given_up["invalid"] += 1
 
-    def give_up_all(self) -> None:
+    def give_up_all(self, reason: Reason) -> None:
         """Drop everything that is held."""
-        self._given_up += len(self._held)
+        self._given_up[reason] += len(self._held)
         self._held.clear()
+
+    def leave_out(self, chunks: int) -> None:
+        """Count chunks for which there was no room; they get no sequence."""
+        self._given_up["bound"] += chunks
 
     def statistics(self) -> UploadStatistics:
         """Return the counts."""
         return UploadStatistics(
-            self._produced, self._acknowledged, self._resent, self._given_up, len(self._held)
+            produced=self._added + self._given_up["bound"],
+            acknowledged=self._acknowledged,
+            resent=self._resent,
+            given_up=sum(self._given_up.values()),
+            waiting=len(self._held),
+            given_up_by_reason=dict(self._given_up),
         )

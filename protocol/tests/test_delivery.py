@@ -96,29 +96,6 @@ def test_uploader_goes_on_when_its_learner_returns(
     assert store.marks == list(range(24))
 
 
-def test_actor_runs_ahead_of_an_absent_learner_but_not_of_a_busy_one(
-    connect: Open, listen: Open, make_chunk: Make, store: _Store, eventually: Callable[..., None]
-) -> None:
-    session = listen()
-    with ChunkUploader(connect(), RUN, "actor-0", new_incarnation(), capacity=40) as uploader:
-        with ChunkIntake(session, RUN, store) as intake:
-            _submit(uploader, make_chunk, range(1))
-            assert uploader.flush(PATIENCE)
-            store.refuse = IntakeBusy()
-            held = 0
-            while uploader.submit(make_chunk(1 + held), 0.2):
-                held += 1
-            # what is held while the learner is busy is of an old policy when it arrives
-            assert 1 <= held < 40
-            assert store.marks == [0]
-        session.close()
-        _submit(uploader, make_chunk, range(1 + held, 41))  # now nobody answers
-        store.refuse = None
-        with ChunkIntake(listen(), RUN, store, intake.ledger()):
-            assert uploader.flush(PATIENCE)
-    assert store.marks == list(range(41))
-
-
 def test_uploader_survives_kills_of_a_learner_in_another_process(
     address: str, connect: Open, make_chunk: Make, tmp_path: Path
 ) -> None:
@@ -158,6 +135,54 @@ def test_restarted_actor_is_heard_at_once(
         assert intake.statistics().active_actors == 1
         assert len(intake.ledger()["actor-0"]) == 3
     assert store.marks == [*range(10), 20, 21, 22, 40, 41, 42]
+
+
+def test_replaced_actor_is_heard_at_once_while_the_former_one_still_sends(
+    connect: Open, listen: Open, make_chunk: Make, store: _Store
+) -> None:
+    with ChunkIntake(listen(), RUN, store) as intake:
+        with ChunkUploader(connect(), RUN, "actor-0", new_incarnation(), capacity=8) as former:
+            _submit(former, make_chunk, range(10))
+            assert former.flush(PATIENCE)
+            with ChunkUploader(connect(), RUN, "actor-0", new_incarnation(), capacity=8) as new:
+                for mark in range(20, 25):
+                    _submit(new, make_chunk, range(mark, mark + 1))
+                    _submit(former, make_chunk, range(mark + 20, mark + 21))
+                assert new.flush(PATIENCE)
+                assert former.flush(PATIENCE)
+                assert new.statistics().resent == former.statistics().resent == 0
+        assert intake.statistics().duplicates == intake.statistics().gaps == intake.statistics().lost == 0
+        assert sorted(intake.ledger()["actor-0"].values()) == [5, 15]
+    assert [mark for mark in store.marks if 20 <= mark < 40] == [20, 21, 22, 23, 24]
+    assert [mark for mark in store.marks if not 20 <= mark < 40] == [*range(10), 40, 41, 42, 43, 44]
+
+
+def test_gap_is_asked_for_again_and_every_chunk_is_stored_once_in_order(
+    uploader: ChunkUploader, listen: Open, make_chunk: Make, eventually: Callable[..., None]
+) -> None:
+    marks: list[int] = []
+    all_submitted, several_under_way, sent_back = (threading.Event() for _ in range(3))
+
+    def accept(chunk: Chunk) -> None:
+        assert _mark(chunk) == 0 or all_submitted.wait(PATIENCE)
+        if _mark(chunk) == 2 and not sent_back.is_set():
+            assert several_under_way.wait(PATIENCE)
+            sent_back.set()
+            raise IntakeBusy  # those that follow it are on their way already
+        marks.append(_mark(chunk))
+
+    with ChunkIntake(listen(), RUN, accept) as intake:
+        _submit(uploader, make_chunk, range(1))
+        assert uploader.flush(PATIENCE)  # it has credits now
+        _submit(uploader, make_chunk, range(1, 8))
+        all_submitted.set()
+        eventually(lambda: len(uploader._under_way) >= 3)
+        several_under_way.set()
+        assert uploader.flush(PATIENCE)
+        assert intake.statistics().gaps >= 1
+        assert intake.statistics().lost == 0
+    assert marks == list(range(8))
+    assert uploader.statistics().resent >= 2
 
 
 def test_acknowledged_only_after_it_was_accepted(
@@ -208,7 +233,7 @@ def test_uploader_stops_when_the_run_is_over(
         assert uploader.submit(make_chunk(0), PATIENCE)
         eventually(lambda: uploader.finished)
         assert not uploader.submit(make_chunk(1), PATIENCE)
-        assert uploader.statistics().given_up == 1
+        assert uploader.statistics().given_up_by_reason["finished"] == 1
 
 
 def test_drained_learner_leaves_chunks_with_their_actor_for_the_next(
@@ -246,6 +271,7 @@ def test_chunk_that_does_not_fit_the_run_is_given_up_and_the_next_is_taken(
         assert intake.statistics().lost == 0
     assert marks == [0, 1, 3, 4]
     assert (uploader.statistics().acknowledged, uploader.statistics().given_up) == (4, 1)
+    assert uploader.statistics().given_up_by_reason["invalid"] == 1
 
 
 def test_learner_from_an_older_checkpoint_takes_the_jump_and_counts_what_is_lost(
@@ -343,4 +369,4 @@ def test_process_ends_although_nothing_was_closed_but_the_session(address: str, 
     assert uploader.submit(make_chunk(1), PATIENCE)
     uploader.close()
     intake.close()
-    assert uploader.statistics().given_up == 1
+    assert uploader.statistics().given_up_by_reason["closed"] == 1

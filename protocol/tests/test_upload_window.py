@@ -29,6 +29,24 @@ def test_window_is_bounded_and_counts_add_up() -> None:
     assert (counts.produced, counts.acknowledged, counts.given_up, counts.waiting) == (3, 1, 1, 1)
 
 
+def test_what_is_given_up_is_counted_by_reason() -> None:
+    window = UploadWindow(capacity=9)
+    for _ in range(6):
+        window.add(b"")
+        window.take()
+    window.give_up(1)
+    window.give_up(1)  # a second refusal of the same chunk
+    window.acknowledge(1)
+    window.give_up_all("finished")
+    window.add(b"")
+    window.give_up_all("closed")
+    window.leave_out(3)
+    counts = window.statistics()
+    assert counts.given_up_by_reason == {"invalid": 1, "finished": 4, "closed": 1, "bound": 3}
+    assert counts.given_up == 9
+    assert counts.produced == 10 == counts.acknowledged + counts.given_up + counts.waiting
+
+
 def test_acknowledgement_never_drops_what_was_not_sent() -> None:
     window = UploadWindow(capacity=3)
     window.add(b"0")
