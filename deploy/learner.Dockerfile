@@ -6,7 +6,7 @@ RUN apt-get update \
     && python3 -m venv /opt/athrl \
     && useradd --uid 10001 --create-home athrl \
     && install --directory --owner athrl /runs /certificates/authority /certificates/learner /certificates/actor \
-        /certificates/evaluator /certificates/viewer
+        /certificates/evaluator /certificates/viewer /certificates/router
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1
 VOLUME /runs
 EXPOSE 7447

@@ -2,7 +2,7 @@
 
 The folder holds `authority/` with the authority's key, and for each role a folder with what its service needs
 and nothing else: `ca.crt`, `tls.crt` and `tls.key`, the names that Kubernetes gives them. A role is the
-common name of its certificate; only the learner's certificate may serve.
+common name of its certificate; only those of learner and router may serve.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from athrl_protocol.certificates import AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, ROLES
+from athrl_protocol.certificates import AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, ROLES, SERVERS
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -49,8 +49,8 @@ def certificates(
             "--name",
             "--names",
             metavar="NAME",
-            help="A host name or address by which the learner is reached; several, or separated by commas. "
-            "localhost, 127.0.0.1, ::1, learner and this machine's name are always among them.",
+            help="A host name or address by which the learner, or a router, is reached; several, or "
+            "separated by commas. localhost, 127.0.0.1, ::1, the role's and this machine's name always are.",
         ),
     ] = None,
     days: Annotated[
@@ -99,7 +99,7 @@ def make_all(folder: Path, hosts: Iterable[str], days: int) -> list[str]:
 
 
 def complete(folder: Path, hosts: Iterable[str], days: int, required: Iterable[str] = ()) -> list[str]:
-    """Make what is missing or ends soon, and the learner's if a required name is not in it.
+    """Make what is missing or ends soon, and a server's if a required name is not in it.
 
     Returns the names of the folders made.
     """
@@ -110,7 +110,7 @@ def complete(folder: Path, hosts: Iterable[str], days: int, required: Iterable[s
         made.append(AUTHORITY)
     authority = _load_authority(folder)
     for role in ROLES:
-        lacks = role == "learner" and not _has_names(folder / role, required)
+        lacks = role in SERVERS and not _has_names(folder / role, required)
         if AUTHORITY in made or lacks or _is_due(folder / role, authority):
             _write_role(folder / role, _new_role(authority, role, names, days), authority)
             made.append(role)
@@ -118,7 +118,7 @@ def complete(folder: Path, hosts: Iterable[str], days: int, required: Iterable[s
 
 
 def renew_roles(folder: Path, roles: Iterable[str], hosts: Iterable[str] | None, days: int) -> list[str]:
-    """Make new keys and certificates of the same authority; the learner keeps its names unless given some.
+    """Make new keys and certificates of the same authority; servers keep their names unless given some.
 
     Raises:
         CommandError: there is no such role, or no authority in the folder.
@@ -135,10 +135,8 @@ def renew_roles(folder: Path, roles: Iterable[str], hosts: Iterable[str] | None,
 
 
 def _hosts(given: Iterable[str]) -> list[str]:
-    """Return all names of the learner, each once; raises `CommandError` for what is none."""
-    hosts = dict.fromkeys(
-        [*_given(given), "learner", "localhost", socket.gethostname().lower(), "127.0.0.1", "::1"]
-    )
+    """Return all names of a server but its role, each once; raises `CommandError` for what is none."""
+    hosts = dict.fromkeys([*_given(given), "localhost", socket.gethostname().lower(), "127.0.0.1", "::1"])
     for host in hosts:
         _subject_name(host)
     return list(hosts)
@@ -177,7 +175,7 @@ def _new_role(authority: Identity, role: str, hosts: list[str], days: int) -> Id
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, role)])
     purposes = [ExtendedKeyUsageOID.CLIENT_AUTH]
-    if role == "learner":
+    if role in SERVERS:
         purposes.append(ExtendedKeyUsageOID.SERVER_AUTH)
     identifier = x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key())
     builder = (
@@ -187,8 +185,9 @@ def _new_role(authority: Identity, role: str, hosts: list[str], days: int) -> Id
         .add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
         .add_extension(identifier, critical=False)
     )
-    if role == "learner":
-        names = x509.SubjectAlternativeName([_subject_name(host) for host in hosts])
+    if role in SERVERS:
+        named = dict.fromkeys([*hosts, role])
+        names = x509.SubjectAlternativeName([_subject_name(host) for host in named])
     else:  # rustls takes no certificate without a name
         names = x509.SubjectAlternativeName([x509.DNSName(f"{role}.athrl.invalid")])
     builder = builder.add_extension(names, critical=False)

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from athrl import certificates, evaluate, run_file, services, status, watch
+from athrl import certificates, evaluate, router, run_file, services, status, watch
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
 from athrl.stopping import leave
 from athrl.train import command as train
@@ -28,6 +28,7 @@ app.command("train")(train.train)
 app.command("learner")(services.learner)
 app.command("actor")(services.actor)
 app.command("evaluator")(services.evaluator)
+app.command("router")(router.router)
 app.command("evaluate")(evaluate.evaluate)
 app.command("watch")(watch.watch)
 app.command("status")(status.status)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from athrl_protocol.certificates import VARIABLE
+from athrl_protocol.refusal_log import refusals_logged
 from athrl_protocol.run_file import RunFile
 
 DEFAULTS = RunFile()
@@ -29,7 +31,19 @@ SetOption = Annotated[
     ),
 ]
 ConnectOption = Annotated[
-    str, typer.Option("--connect", envvar="ATHRL_CONNECT", metavar="ADDRESS", help="The learner's address.")
+    str,
+    typer.Option(
+        "--connect",
+        envvar="ATHRL_CONNECT",
+        metavar="ADDRESS",
+        help="The learner's address, or a router's.",
+    ),
+]
+NameOption = Annotated[
+    str | None,
+    typer.Option(
+        "--name", help="The service's name, one of its own; by default this machine's and process's."
+    ),
 ]
 CertificatesOption = Annotated[
     Path | None,
@@ -56,6 +70,11 @@ def use_certificates(folder: str | Path | None) -> Path | None:
     if folder:
         os.environ[VARIABLE] = str(folder)
     return Path(folder) if folder else None
+
+
+def refusals_told(secure: bool) -> AbstractContextManager[None]:
+    """Have the log of a process that listens say who was refused what; without certificates nobody is."""
+    return refusals_logged() if secure else nullcontext()
 
 
 def overrides(given: list[str] | None) -> list[str]:

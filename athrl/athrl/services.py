@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from athrl_protocol.refusal_log import refusals_logged
-from athrl_protocol.run_file import RunFile
 
 from athrl import runs
 from athrl.errors import needs
@@ -17,19 +14,14 @@ from athrl.options import (
     DEFAULTS,
     CertificatesOption,
     ConnectOption,
+    NameOption,
     RunFileOption,
     RunOption,
     SetOption,
     overrides,
+    refusals_told,
 )
 from athrl.stopping import stop_on_signal
-
-NameOption = Annotated[
-    str | None,
-    typer.Option(
-        "--name", help="The service's name, one of its own; by default this machine's and process's."
-    ),
-]
 
 
 def learner(
@@ -57,17 +49,12 @@ def learner(
         if not (resume_if_present and runs.holds_run(folder)):
             folder = None
     # The signals are caught before the import, which takes seconds.
-    with stop_on_signal() as stop, _refusals_logged(certificates, run_settings):
+    secure = certificates is not None or bool(run_settings.network.certificates)
+    with stop_on_signal() as stop, refusals_told(secure):
         with needs("learner"):
             from athrl_learner import run_learner
         if not stop.is_set():
             run_learner(run_settings, resume=folder, stop=stop)
-
-
-def _refusals_logged(certificates: Path | None, settings: RunFile) -> AbstractContextManager[None]:
-    """Have the learner's log say who was refused what, where anybody is."""
-    secure = certificates is not None or bool(settings.network.certificates)
-    return refusals_logged() if secure else nullcontext()
 
 
 def actor(

@@ -1,9 +1,11 @@
-"""Who may do what in a run: the learner's access list, by the common name of a certificate.
+"""Who may do what in a run: the access list of a learner or a router, by the common name of a certificate.
 
-The learner's session routes everything, so its list is the only one. Zenoh looks at every message twice: when
-a client's comes in (`ingress`) and before one goes out to a client (`egress`). A rule allows kinds of
-messages in one direction on some keys, and what no rule allows is dropped. The key of a rule must include the
-key of the message: a client that asks for more than it may have, such as `athrl/**`, gets nothing.
+The learner's session routes everything. A router between it and some clients has a list of its own for those;
+the learner lets it do whatever clients may do together, and cannot tell them apart. Zenoh looks at every
+message twice: when a client's comes in (`ingress`) and before one goes out to a client (`egress`). A rule
+allows kinds of messages in one direction on some keys, and what no rule allows is dropped. The key of a rule
+must include the key of the message: a client that asks for more than it may have, such as `athrl/**`, gets
+nothing.
 """
 
 from __future__ import annotations
@@ -21,10 +23,31 @@ class Rule(NamedTuple):
     messages: tuple[str, ...]
     keys: tuple[str, ...]
 
+    def seen_from_the_other_end(self) -> Rule:
+        """Return the rule of the other end of the link, whose outgoing messages come in here."""
+        return self._replace(flow={"ingress": "egress", "egress": "ingress"}[self.flow])
+
+
+CLIENTS = ("actor", "evaluator", "viewer")
+
 
 def access_list(run: str) -> dict[str, Any]:
     """Return Zenoh's `access_control` for the learner of a run: each role may do its part, others nothing."""
-    rules = {role: _rules_of(role, Keys(run)) for role in ROLES}
+    keys = Keys(run)
+    rules = {role: _rules_of(role, keys) for role in ROLES if role != "router"}
+    return _configuration({**rules, "router": [*_rules_of_clients(keys), *_shows_itself("router", keys)]})
+
+
+def access_list_of_router(run: str) -> dict[str, Any]:
+    """Return the same for a router: clients may do their part, the learner the other half of that."""
+    keys = Keys(run)
+    rules = {role: _rules_of(role, keys) for role in CLIENTS}
+    towards_learner = [*_rules_of_clients(keys), *_shows_itself("router", keys)]
+    return _configuration({**rules, "learner": [rule.seen_from_the_other_end() for rule in towards_learner]})
+
+
+def _configuration(rules: dict[str, list[Rule]]) -> dict[str, Any]:
+    """Put the rules of each role into Zenoh's words."""
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -39,7 +62,7 @@ def access_list(run: str) -> dict[str, Any]:
             for role, of_role in rules.items()
             for number, rule in enumerate(of_role)
         ],
-        "subjects": [{"id": role, "cert_common_names": [role]} for role in ROLES],
+        "subjects": [{"id": role, "cert_common_names": [role]} for role in rules],
         "policies": [
             {"rules": [f"{role}-{number}" for number in range(len(of_role))], "subjects": [role]}
             for role, of_role in rules.items()
@@ -73,10 +96,17 @@ def _rules_of(role: str, keys: Keys) -> list[Rule]:
     ]
 
 
+def _rules_of_clients(keys: Keys) -> list[Rule]:
+    return [rule for role in CLIENTS for rule in _rules_of(role, keys)]
+
+
 def _joins(role: str, keys: Keys) -> list[Rule]:
     """What a service does to take part: it reads the run file, sees who is there, and shows itself."""
-    token = Rule("ingress", ("liveliness_token",), (keys.alive_of(role),))
-    return [*_reads_run_file(keys), *_sees_presence(keys), token]
+    return [*_reads_run_file(keys), *_sees_presence(keys), *_shows_itself(role, keys)]
+
+
+def _shows_itself(role: str, keys: Keys) -> list[Rule]:
+    return [Rule("ingress", ("liveliness_token",), (keys.alive_of(role),))]
 
 
 def _reads_run_file(keys: Keys) -> list[Rule]:

@@ -13,7 +13,9 @@ from pathlib import Path
 
 from athrl_protocol.errors import ProtocolError
 
-ROLES = ("learner", "actor", "evaluator", "viewer")
+ROLES = ("learner", "actor", "evaluator", "viewer", "router")
+SERVERS = ("learner", "router")
+"""Whose certificates may serve: others connect to them."""
 AUTHORITY_FILE = "ca.crt"
 CERTIFICATE_FILE = "tls.crt"
 KEY_FILE = "tls.key"

@@ -1,4 +1,4 @@
-"""Zenoh sessions: the learner listens as a router, everybody else is its client.
+"""Zenoh sessions: the learner listens as a router, everybody else is its client, or the client of a router.
 
 Scouting is off, so a session talks to the address it was given and to nobody else. A client that loses
 its learner tries again every 0.1 to 0.5 s for as long as it is open. Close sessions in `finally` (or use
@@ -22,7 +22,7 @@ from typing import Any, Protocol
 
 import zenoh
 
-from athrl_protocol.access import access_list
+from athrl_protocol.access import access_list, access_list_of_router
 from athrl_protocol.address import complete_address, split_address
 from athrl_protocol.certificates import Certificates, find_certificates
 from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
@@ -86,6 +86,36 @@ def open_session(
     return _connect(address, shown, timeout, stop or threading.Event())
 
 
+def open_router(
+    *,
+    listen: str,
+    connect: str,
+    run: str,
+    certificates: str | Path | None = None,
+    largest_chunk: int = LARGEST_CHUNK,
+) -> zenoh.Session:
+    """Open a session that passes on what clients at `listen` and the learner at `connect` say to each other.
+
+    It connects to the learner by itself, again and again, and is open whether the learner is there or not.
+    With certificates it lets each role do its part only, as the learner does. Arguments and errors are those
+    of `open_session`.
+    """
+    shown = find_certificates(certificates, "router")
+    learner = complete_address(connect, secure=shown is not None)
+    settings: dict[str, Any] = {
+        "connect/endpoints": [learner],
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": RETRY,
+        # Policies come through; clients' messages are held down by the filter on the keys.
+        "transport/link/rx/max_message_size": LARGEST_POLICY,
+        "low_pass_filter": size_filter(run, largest_chunk),
+    }
+    if shown is not None:
+        settings["access_control"] = access_list_of_router(run)
+    return _open_listener(complete_address(listen, secure=shown is not None), shown, settings)
+
+
 def _configuration(mode: str, shown: Certificates | None, settings: dict[str, Any]) -> zenoh.Config:
     configuration = zenoh.Config()
     everything = {
@@ -120,17 +150,18 @@ def _encryption(shown: Certificates) -> dict[str, Any]:
 
 
 def _listen(address: str, shown: Certificates | None, run: str | None, largest_chunk: int) -> zenoh.Session:
-    require_free(address)
-    settings: dict[str, Any] = {
-        "listen/endpoints": [address],
-        "transport/link/rx/max_message_size": largest_message(largest_chunk),
-    }
+    settings: dict[str, Any] = {"transport/link/rx/max_message_size": largest_message(largest_chunk)}
     if run is not None:
         settings["low_pass_filter"] = size_filter(run, largest_chunk)
         if shown is not None:
             settings["access_control"] = access_list(run)
+    return _open_listener(address, shown, settings)
+
+
+def _open_listener(address: str, shown: Certificates | None, settings: dict[str, Any]) -> zenoh.Session:
+    require_free(address)
     try:
-        return zenoh.open(_configuration("router", shown, settings))
+        return zenoh.open(_configuration("router", shown, {"listen/endpoints": [address], **settings}))
     except zenoh.ZError as error:
         if "in use" in str(error):
             raise _in_use(address) from None
@@ -139,7 +170,8 @@ def _listen(address: str, shown: Certificates | None, run: str | None, largest_c
 
 def _in_use(address: str) -> AddressInUse:
     return AddressInUse(
-        f"{address} is in use, maybe by another learner: stop it, or set network.listen to a free port"
+        f"{address} is in use, maybe by another learner: stop it, or listen at a free port (network.listen, "
+        "or --listen of a router)"
     )
 
 

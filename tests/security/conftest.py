@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -48,6 +49,14 @@ def sessions() -> Iterator[contextlib.ExitStack]:
 
 
 @pytest.fixture
+def unused_port() -> int:
+    """Another port of the loopback interface that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
 def learner(sessions: contextlib.ExitStack, ours: Path, port: int) -> zenoh.Session:
     """A learner's session with its access list."""
     return sessions.enter_context(
@@ -83,10 +92,13 @@ class Received:
     def __init__(self) -> None:
         self._arrived = threading.Condition()
         self.keys: list[str] = []
+        self.payloads: set[bytes] = set()
 
     def __call__(self, what: zenoh.Sample | zenoh.Query) -> None:
         with self._arrived:
             self.keys.append(str(what.key_expr))
+            if what.payload is not None:
+                self.payloads.add(what.payload.to_bytes())
             self._arrived.notify_all()
 
     def wait(self, key: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from athrl.errors import CommandError
-from athrl_protocol.certificates import ROLES
+from athrl_protocol.certificates import ROLES, SERVERS
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -36,7 +36,7 @@ def test_every_role_has_its_own_and_a_key_that_only_its_owner_reads(tmp_path: Pa
         assert isinstance(made.public_key(), ec.EllipticCurvePublicKey)
         assert made.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value == role
         purposes = set(made.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
-        assert (ExtendedKeyUsageOID.SERVER_AUTH in purposes) == (role == "learner")
+        assert (ExtendedKeyUsageOID.SERVER_AUTH in purposes) == (role in SERVERS)
         lifetime = made.not_valid_after_utc - made.not_valid_before_utc
         assert lifetime.days == 30
         assert sorted(path.name for path in (folder / role).iterdir()) == ["ca.crt", "tls.crt", "tls.key"]
@@ -44,9 +44,10 @@ def test_every_role_has_its_own_and_a_key_that_only_its_owner_reads(tmp_path: Pa
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
     for path in [folder / role for role in (*ROLES, "authority")]:
         assert stat.S_IMODE(path.stat().st_mode) == 0o700
-    names = certificate(folder, "learner").extensions.get_extension_for_class(x509.SubjectAlternativeName)
-    assert names.value.get_values_for_type(x509.DNSName) == ["learner.example"]
-    assert [str(address) for address in names.value.get_values_for_type(x509.IPAddress)] == ["10.0.0.7"]
+    for role in SERVERS:
+        names = certificate(folder, role).extensions.get_extension_for_class(x509.SubjectAlternativeName)
+        assert names.value.get_values_for_type(x509.DNSName) == ["learner.example", role]
+        assert [str(address) for address in names.value.get_values_for_type(x509.IPAddress)] == ["10.0.0.7"]
 
 
 def test_nothing_is_overwritten(command, tmp_path: Path) -> None:
@@ -77,10 +78,10 @@ def test_what_is_missing_or_ends_soon_is_made(tmp_path: Path) -> None:
     assert certificates.complete(tmp_path, ["localhost"], days=365) == ["actor"]
 
 
-def test_learner_gets_a_name_that_it_lacks(tmp_path: Path) -> None:
+def test_servers_get_a_name_that_they_lack(tmp_path: Path) -> None:
     certificates.make_all(tmp_path, ["localhost", "::1"], days=365)
     assert certificates.complete(tmp_path, ["localhost"], 365, required=["localhost", "0:0::1"]) == []
-    assert certificates.complete(tmp_path, ["new.example"], 365, required=["new.example"]) == ["learner"]
+    assert certificates.complete(tmp_path, ["new.example"], 365, required=["new.example"]) == [*SERVERS]
 
 
 def test_renewal_changes_one_role_and_keeps_authority_and_names(tmp_path: Path) -> None:
@@ -91,7 +92,7 @@ def test_renewal_changes_one_role_and_keeps_authority_and_names(tmp_path: Path) 
     assert {name for name in before if before[name] != after[name]} == {"learner/tls.crt", "learner/tls.key"}
     certificate(tmp_path, "learner").verify_directly_issued_by(certificate(tmp_path, "authority"))
     names = certificate(tmp_path, "learner").extensions.get_extension_for_class(x509.SubjectAlternativeName)
-    assert names.value.get_values_for_type(x509.DNSName) == ["learner.example"]
+    assert names.value.get_values_for_type(x509.DNSName) == ["learner.example", "learner"]
 
 
 def test_wrong_words_are_one_line_each(tmp_path: Path) -> None:
