@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from athrl_protocol.run_file import read_run_file
 from rich.console import Console
 
 from athrl import runs
-from athrl.errors import say
+from athrl.errors import CommandError, say
 from athrl.names import program
 from athrl.options import CertificatesOption, RunFileOption, SetOption, overrides, use_certificates
 from athrl.stopping import stop_on_signal
@@ -40,6 +41,16 @@ def train(
         int,
         typer.Option(min=0, max=65535, metavar="PORT", help="Where rerun viewers connect; 0: no viewers."),
     ] = 9877,
+    serial: Annotated[
+        bool,
+        typer.Option(
+            "--serial", help="Drive and train in turns in one process; the run repeats itself bit for bit."
+        ),
+    ] = False,
+    stop_at: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="STEPS", help="Stop a serial run when it has so many decisions in all."),
+    ] = None,
     certificates: CertificatesOption = None,
 ) -> None:
     """Train on this machine: a learner, actors and an evaluator as processes of their own.
@@ -48,20 +59,66 @@ def train(
     and leaves a checkpoint; a second one stops at once.
     """
     require_services()
-    plan = _plan(run_file, overrides(settings), name, resume)
-    use_certificates(plan.settings.network.certificates)
+    given = [*overrides(settings), *(["serial.enabled=true"] if serial else [])]
+    plan = _plan(run_file, given, name, resume)
+    _require_fitting(plan, actors, stop_at)
     require_world(plan.settings.environment)
     began = time.time()
-    with Display() as display:
-        supervisor = Supervisor(display.say)
-        with stop_on_signal(before_exit=supervisor.kill) as stop:
-            session = TrainingSession(plan, supervisor, display, actors or actors_that_fit(), viewer_port)
-            finished = session.run(stop)
+    if plan.settings.serial.enabled:
+        finished = _run_serially(plan, stop_at)
+    else:
+        finished = _run_distributed(plan, actors or actors_that_fit(), viewer_port)
     if not finished:
-        say(f"stopped; to go on: {program('athrl')} train --resume {plan.folder}")
+        say(f"stopped; to go on: {_to_go_on(plan)}")
         raise typer.Exit(INTERRUPTED)
     Console().print(comparison_table(read_comparison(plan.folder, since=began)))
     print(f"policy: {plan.folder / 'policies' / 'latest.onnx'}")
+
+
+def _run_distributed(plan: Plan, actors: int, viewer_port: int) -> bool:
+    """Run learner, actors and evaluator as processes; whether the run is finished."""
+    use_certificates(plan.settings.network.certificates)
+    with Display() as display:
+        supervisor = Supervisor(display.say)
+        with stop_on_signal(before_exit=supervisor.kill) as stop:
+            return TrainingSession(plan, supervisor, display, actors, viewer_port).run(stop)
+
+
+def _run_serially(plan: Plan, stop_at: int | None) -> bool:
+    """Drive and train in turns in this process; whether the run is finished."""
+    with Display() as display, stop_on_signal() as stop:
+        display.say(f"run {plan.settings.run.name} in {plan.folder}: serial, fingerprints in trace.txt")
+        from athrl.serial.session import run_serial
+
+        finished = run_serial(plan.settings, resume=plan.resume, stop=stop, stop_at=stop_at, display=display)
+        asked = not stop.is_set()
+    if not finished and asked:
+        say(f"stopped where --stop-at wanted it; to go on: {_to_go_on(plan)}")
+        raise typer.Exit
+    return finished
+
+
+def _to_go_on(plan: Plan) -> str:
+    return f"{program('athrl')} train --resume {plan.folder}"
+
+
+def _require_fitting(plan: Plan, actors: int | None, stop_at: int | None) -> None:
+    """Refuse options that the kind of run has no use for, and to go on with a run as one of another kind."""
+    serial = plan.settings.serial.enabled
+    if serial and actors is not None:
+        raise CommandError("a serial run has one actor, in its own process: leave --actors out")
+    if not serial and stop_at is not None:
+        raise CommandError("--stop-at is for serial runs: give --serial, too, or stop the run with Ctrl-C")
+    if not plan.resume:
+        return
+    began_serial = read_run_file(plan.folder / "run.toml", complete=True).serial.enabled
+    if began_serial != serial:
+        raise CommandError(
+            f"{plan.folder} is a serial run and goes on as one only: leave serial.enabled out"
+            if began_serial
+            else f"{plan.folder} is a distributed run, whose checkpoints hold no environments: "
+            "go on without --serial"
+        )
 
 
 def _plan(run_file: Path | None, given: list[str], name: str | None, resume: str | None) -> Plan:

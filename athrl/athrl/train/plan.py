@@ -56,13 +56,13 @@ class Plan:
         self.folder = runs.run_folder(settings)
         self._overrides = [word for override in overrides for word in ("--set", override)]
         self._run_file = ["--run-file", str(run_file)] if run_file is not None else []
-        self._resume = resume
+        self.resume = resume
         address = settings.network.listen
         self.address = address.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
 
     def learner(self) -> Service:
         """The learner; after a death it goes on from its newest checkpoint."""
-        if self._resume:
+        if self.resume:
             arguments = ["learner", "--resume", str(self.folder), *self._overrides]
             again: list[str] = []
         else:

@@ -6,6 +6,9 @@ It is held in half-ranges and scaled to physical units when drawn, so one settin
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from athrl_driving.policy.metadata import LevelMetadata, PolicyMetadata
@@ -26,6 +29,17 @@ class ExplorationNoise:
     def draw(self, scale: float = 1.0) -> dict[str, np.ndarray]:
         """The next decision's noise: float32 [batch, n] of each level, physical units, times `scale`."""
         return {level.name: level.draw(self._rng, scale) for level in self._levels}
+
+    def state(self) -> dict[str, Any]:
+        """What `load_state` goes on from: the generator's state, each level's memory float64 [batch, n]."""
+        memory = {level.name: level.memory.copy() for level in self._levels}
+        return {"random": self._rng.bit_generator.state, "memory": memory}
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from `state()`; the next draws are the same."""
+        self._rng.bit_generator.state = state["random"]
+        for level in self._levels:
+            level.memory[:] = state["memory"][level.name]
 
     def uniform(self) -> dict[str, np.ndarray]:
         """Actions drawn evenly from their whole ranges: float32 [batch, n] of each level, physical units."""

@@ -13,6 +13,7 @@ from athrl_protocol.run_file.sections import (
     PlannerSection,
     ReplaySection,
     RunSection,
+    SerialSection,
 )
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "ReplaySection",
     "RunFile",
     "RunSection",
+    "SerialSection",
     "Setting",
     "default_toml",
     "read_run_file",

@@ -19,6 +19,7 @@ from athrl_protocol.run_file.sections import (
     ReplaySection,
     RunSection,
     Section,
+    SerialSection,
 )
 
 
@@ -34,6 +35,7 @@ class RunFile(Section):
     durability: DurabilitySection = DurabilitySection()
     actor: ActorSection = ActorSection()
     evaluator: EvaluatorSection = EvaluatorSection()
+    serial: SerialSection = SerialSection()
     network: NetworkSection = NetworkSection()
 
     @model_validator(mode="after")

@@ -251,6 +251,23 @@ class EvaluatorSection(Section):
     )
 
 
+class SerialSection(Section):
+    """A run in one process that repeats itself bit for bit."""
+
+    enabled: bool = Field(
+        default=False,
+        description="Drive and train in turns in one process, without a network; `athrl train --serial`.",
+    )
+    updates_per_second: float = Field(
+        default=20.0,
+        gt=0,
+        description="Updates that count as a second in settings; a serial run looks at no clock.",
+    )
+    trace_updates: int = Field(
+        default=200, ge=1, description="Updates between two fingerprints of all parameters in trace.txt."
+    )
+
+
 class NetworkSection(Section):
     """Where the run listens."""
 

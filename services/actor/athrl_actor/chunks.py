@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from athrl_protocol import Chunk, LevelColumns
@@ -49,7 +50,7 @@ class ChunkBuilder:
     def add(self, transition: Transition) -> Chunk | None:
         """Take the next transition of the episode; returns the chunk that it completes, sequence 0."""
         if self._columns is None:
-            self._columns = _Columns(self._time, transition)
+            self._columns = _Columns.for_first(transition, self._time)
         self._columns.append(transition)
         if self._columns.length == self._time or transition.terminated or transition.truncated:
             return self.flush()
@@ -78,30 +79,60 @@ class ChunkBuilder:
         self._first_step += columns.length
         return chunk
 
+    def state(self) -> dict[str, Any]:
+        """What `load_state` goes on from: where the episode is, and the transitions of the open chunk."""
+        columns = self._columns.state() if self._columns is not None else None
+        return {"episode_seed": self._episode_seed, "first_step": self._first_step, "columns": columns}
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Go on in the middle of an episode, as the builder was that `state` is of."""
+        self._episode_seed, self._first_step = int(state["episode_seed"]), int(state["first_step"])
+        self._columns = None if state["columns"] is None else _Columns.of_state(state["columns"])
+
     def drop(self) -> bool:
         """Forget the transitions since the last chunk; return whether there were any."""
         columns, self._columns = self._columns, None
         return columns is not None
 
 
+@dataclass
 class _Columns:
     """The arrays of a chunk under construction; what is not yet written is the padding, zeros."""
 
-    def __init__(self, time: int, first: Transition) -> None:
-        self.length = 0
-        self.images = np.zeros((time + 1, *first.image.shape), np.uint8)
-        self.motion = np.zeros((time + 1, *first.motion.shape), np.float32)
-        self.policy_version = np.zeros(time, np.int64)
-        self.terminated = False
-        self.truncated = False
-        self.levels = {
-            level: LevelColumns(
-                actions=np.zeros((time, len(actions)), np.float32),
-                rewards=np.zeros(time, np.float32),
-                initial_state=np.array(first.states[level], np.float32),
-            )
-            for level, actions in first.actions.items()
-        }
+    images: np.ndarray
+    motion: np.ndarray
+    policy_version: np.ndarray
+    levels: dict[str, LevelColumns]
+    length: int = 0
+    terminated: bool = False
+    truncated: bool = False
+
+    @classmethod
+    def for_first(cls, first: Transition, time: int) -> _Columns:
+        """Columns of `time` rows that fit a transition."""
+        return cls(
+            images=np.zeros((time + 1, *first.image.shape), np.uint8),
+            motion=np.zeros((time + 1, *first.motion.shape), np.float32),
+            policy_version=np.zeros(time, np.int64),
+            levels={
+                level: LevelColumns(
+                    actions=np.zeros((time, len(actions)), np.float32),
+                    rewards=np.zeros(time, np.float32),
+                    initial_state=np.array(first.states[level], np.float32),
+                )
+                for level, actions in first.actions.items()
+            },
+        )
+
+    @classmethod
+    def of_state(cls, state: Mapping[str, Any]) -> _Columns:
+        """Columns as they were when `state` was taken."""
+        levels = {name: LevelColumns(**columns) for name, columns in state["levels"].items()}
+        return cls(**{**state, "levels": levels})
+
+    def state(self) -> dict[str, Any]:
+        """Copies of all arrays and the values beside them, as nested dictionaries."""
+        return asdict(self)
 
     def append(self, transition: Transition) -> None:
         """Write the next row, and the observation after it, which the row after that will overwrite."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from athrl_driving.envs import TownRow
@@ -116,6 +117,42 @@ class Rollout:
         given_up = list(rows)
         self._to_begin = sorted({*self._to_begin, *given_up})
         return sum(self._builders[row].drop() for row in given_up)
+
+    def state(self) -> dict[str, Any]:
+        """What `go_on` goes on from, beside the policy and the environments: arrays and plain values."""
+        if self._noise is None:
+            raise RuntimeError("nothing has been driven yet")
+        return {
+            "to_begin": list(self._to_begin),
+            "episodes": list(self._episodes),
+            "episode_seeds": list(self._episode_seeds),
+            "steps": list(self._steps),
+            "returns": self._returns.copy(),
+            "recurrent": {level: state.copy() for level, state in self._states.items()},
+            "noise": self._noise.state(),
+            "chunks": [builder.state() for builder in self._builders],
+        }
+
+    def go_on(self, update: PolicyUpdate, state: Mapping[str, Any]) -> None:
+        """Be where the rollout was that `state` is of, before the first step of this one.
+
+        `update` is the policy that decided then; the environments have to be where they were.
+
+        Raises:
+            InvalidPolicy: the policy cannot be run.
+            KeyError, TypeError, ValueError: `state` does not fit.
+        """
+        self.adopt(update)
+        assert self._noise is not None
+        self._noise.load_state(state["noise"])
+        self._to_begin = list(state["to_begin"])
+        self._episodes, self._steps = list(state["episodes"]), list(state["steps"])
+        self._episode_seeds = list(state["episode_seeds"])
+        self._returns[:] = state["returns"]
+        for level, recurrent in self._states.items():
+            recurrent[:] = state["recurrent"][level]
+        for builder, chunk in zip(self._builders, state["chunks"], strict=True):
+            builder.load_state(chunk)
 
     def flush(self) -> list[Chunk]:
         """Return what is in the open chunks, padded."""

@@ -80,6 +80,8 @@ def run_learner(
     """
     began = time.monotonic()
     run_file, path = _what_and_where(run_file, resume)
+    if run_file.serial.enabled:
+        raise CannotResume(f"{path} is a serial run, which has no learner of its own: athrl train --serial")
     torch.set_num_threads(run_file.learner.threads)
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path))

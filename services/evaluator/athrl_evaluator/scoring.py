@@ -1,0 +1,131 @@
+"""Scores drivers on a run's fixed episodes, records them and writes down what they score. No network."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+
+from athrl_driving.policy import OnnxPolicy
+from athrl_protocol import EvaluationResult, PolicyUpdate
+from athrl_protocol.run_file import RunFile
+
+from athrl_evaluator.broadcast import Broadcast
+from athrl_evaluator.drivers import REFERENCE_DRIVERS
+from athrl_evaluator.episodes import Onlooker, drive_episodes
+from athrl_evaluator.evaluate import make_batch, make_batch_driver
+from athrl_evaluator.event_files import EventFiles
+from athrl_evaluator.onlookers import Recorder
+from athrl_evaluator.results import ResultsFolder
+from athrl_evaluator.scores import Scores, score
+
+ENVIRONMENTS = 8  # stepped together
+
+log = logging.getLogger(__name__)
+
+
+class Scoring:
+    """Drives the run's evaluation episodes; `files` takes other curves, too."""
+
+    def __init__(
+        self,
+        run_file: RunFile,
+        folder: ResultsFolder,
+        stack: ExitStack,
+        *,
+        tell: Callable[[EvaluationResult], object],
+        onlookers: Sequence[Onlooker] = (),
+        broadcast: Broadcast | None = None,
+    ) -> None:
+        """Make the environments; `stack` closes them.
+
+        Args:
+            run_file: the run's settings.
+            folder: where results, recordings and curves go.
+            stack: what must be closed.
+            tell: called with each result, once it is written down.
+            onlookers: are told of every step.
+            broadcast: shows the first episode of each driver.
+        """
+        self._run_file = run_file
+        self._settings = run_file.evaluator
+        self._folder = folder
+        self._tell = tell
+        self._onlookers = list(onlookers)
+        self._broadcast = broadcast
+        self.episodes_done = 0
+        self.files = EventFiles(folder.tensorboard)
+        stack.callback(self.files.close)
+        self._batch = make_batch(run_file.environment, min(ENVIRONMENTS, self._settings.episodes))
+        stack.callback(self._batch.close)
+
+    def score_policy(
+        self, update: PolicyUpdate, *, recorded: bool = True, stop: threading.Event | None = None
+    ) -> EvaluationResult:
+        """Score a policy on the few episodes that there is time for while training.
+
+        Raises:
+            InvalidPolicy: it cannot be run.
+            Stopped: `stop` was set before the last episode was over.
+        """
+        episodes = self._settings.episodes
+        scores = self._drive(OnnxPolicy(update.artefact), update, episodes, episodes * recorded, stop)
+        return self._take_result("policy", update, scores)
+
+    def compare(self, update: PolicyUpdate, stop: threading.Event | None = None) -> None:
+        """Score the last policy and the reference drivers on the same episodes, and write the comparison.
+
+        Raises as `score_policy` does.
+        """
+        drivers: list[OnnxPolicy | str] = [OnnxPolicy(update.artefact), *REFERENCE_DRIVERS]
+        recorded = max(1, self._settings.recordings_kept // len(drivers))
+        results = []
+        for driver in drivers:
+            scores = self._drive(driver, update, self._settings.final_episodes, recorded, stop)
+            name = driver if isinstance(driver, str) else "policy"
+            results.append(self._take_result(name, update, scores))
+        self._folder.write_comparison(self._run_file.run.name, results)
+
+    def _drive(
+        self,
+        driver: OnnxPolicy | str,
+        update: PolicyUpdate,
+        episodes: int,
+        recorded: int,
+        stop: threading.Event | None,
+    ) -> Scores:
+        version = update.version if isinstance(driver, OnnxPolicy) else 0
+        drives = make_batch_driver(driver, len(self._batch), version)
+        recorder = Recorder(
+            drives,
+            self._run_file.environment.town,
+            self._folder.recordings,
+            episodes=recorded,
+            kept=self._settings.recordings_kept,
+            broadcast=self._broadcast,
+        )
+        seeds = range(self._settings.seed, self._settings.seed + episodes)
+        try:
+            results = drive_episodes(drives, self._batch, seeds, [recorder, *self._onlookers], stop)
+        finally:
+            recorder.close()
+        self.episodes_done += len(results)
+        return score(results)
+
+    def _take_result(self, driver: str, update: PolicyUpdate, scores: Scores) -> EvaluationResult:
+        """Write down what a driver scored, then tell it."""
+        result = EvaluationResult(
+            driver=driver,
+            policy_version=update.version if driver == "policy" else 0,
+            environment_steps=update.environment_steps,
+            town=self._run_file.environment.town,
+            seed=self._settings.seed,
+            scores=scores.as_dict(),
+        )
+        self._folder.add(result)
+        self.files.add(f"evaluation/{driver}", result.scores, update.environment_steps, time.time())
+        self._tell(result)
+        log.info("%s, version %d: return %.0f", driver, update.version, scores.return_mean)
+        return result
