@@ -130,14 +130,16 @@ def _check_column(name: str, column: npt.NDArray[Any], dtype: type, shape: tuple
     """Check one column; a size of None in `shape` is any size from 1 on."""
     if column.dtype != dtype:
         raise InvalidMessage("shape", f"chunk: {name} is {column.dtype}, should be {np.dtype(dtype)}")
-    fits = column.ndim == len(shape) and all(
-        size >= 1 if wanted is None else size == wanted
-        for size, wanted in zip(column.shape, shape, strict=True)
+    actual = column.shape
+    fits = actual == shape or (
+        len(actual) == len(shape)
+        and all(
+            size >= 1 if wanted is None else size == wanted
+            for size, wanted in zip(actual, shape, strict=True)
+        )
     )
     if not fits:
         wanted_shape = ", ".join("any" if size is None else str(size) for size in shape)
-        raise InvalidMessage(
-            "shape", f"chunk: {name} has shape {list(column.shape)}, should be [{wanted_shape}]"
-        )
-    if column.dtype == np.float32 and not np.isfinite(column).all():
+        raise InvalidMessage("shape", f"chunk: {name} has shape {list(actual)}, should be [{wanted_shape}]")
+    if dtype is np.float32 and not np.isfinite(column).all():
         raise InvalidMessage("value", f"chunk: {name} has numbers that are not finite")
