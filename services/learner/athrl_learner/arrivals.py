@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from athrl_protocol import Chunk
 SILENCE = 60.0
 #: Publications whose times are kept; a policy that is older counts as old as the oldest of them.
 _REMEMBERED = 1_000
+#: Actors that are reported by name; with more of them a report would be larger than anybody takes.
+NAMED = 100
 
 
 @dataclass
@@ -57,7 +60,8 @@ class Arrivals:
     def metrics(self) -> dict[str, float]:
         """`policy_lag` and `policy_lag_seconds` of the worst actor, and the same of each that is heard.
 
-        These are `policy_lag/NAME` and `policy_lag_seconds/NAME`, and with them `transitions/NAME`.
+        These are `policy_lag/NAME` and `policy_lag_seconds/NAME`, and with them `transitions/NAME`; of more
+        than `NAMED` actors, of those that are furthest behind.
         """
         now = self._clock()
         self._actors = {
@@ -68,8 +72,14 @@ class Arrivals:
             "policy_lag": float(max((actor.policy_lag for actor in actors), default=0)),
             "policy_lag_seconds": max((actor.policy_lag_seconds for actor in actors), default=0.0),
         }
-        for name, actor in self._actors.items():
+        for name, actor in self._furthest_behind().items():
             values[f"policy_lag/{name}"] = float(actor.policy_lag)
             values[f"policy_lag_seconds/{name}"] = actor.policy_lag_seconds
             values[f"transitions/{name}"] = float(actor.transitions)
         return values
+
+    def _furthest_behind(self) -> dict[str, _Actor]:
+        if len(self._actors) <= NAMED:
+            return self._actors
+        lags = {name: (actor.policy_lag_seconds, actor.policy_lag) for name, actor in self._actors.items()}
+        return {name: self._actors[name] for name in heapq.nlargest(NAMED, lags, key=lags.__getitem__)}

@@ -1,0 +1,25 @@
+"""What the learner tells about its actors, few or many."""
+
+from __future__ import annotations
+
+from athrl_learner.arrivals import NAMED, Arrivals
+from athrl_protocol import athrl_pb2
+from athrl_protocol.metrics import decode_metrics
+from athrl_protocol.schema import encode_message
+
+
+def test_report_about_a_thousand_actors_is_taken_and_names_those_furthest_behind(make_chunk):
+    now = 0.0
+    arrivals = Arrivals(clock=lambda: now)
+    arrivals.published(1)
+    behind = {f"actor-{number}" for number in range(0, 1000, 10)}
+    for number in range(1000):
+        arrivals.published_version = 9 if f"actor-{number}" in behind else 7
+        arrivals.arrived(make_chunk(actor=f"actor-{number}"))
+    values = arrivals.metrics()
+    message = athrl_pb2.Metrics(role="learner", name="learner", time=1.0, values=values)
+    assert decode_metrics(encode_message(message)).values == values
+    assert values["policy_lag"] == max(values.values())
+    named = {key.removeprefix("policy_lag/") for key in values if key.startswith("policy_lag/")}
+    assert len(named) == NAMED
+    assert named == behind
