@@ -10,6 +10,7 @@ from typing import Any
 import typer
 
 from athrl import certificates, evaluate, router, run_file, services, status, watch
+from athrl.doctor import command as doctor
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
 from athrl.stopping import leave
 from athrl.train import command as train
@@ -32,6 +33,7 @@ app.command("router")(router.router)
 app.command("evaluate")(evaluate.evaluate)
 app.command("watch")(watch.watch)
 app.command("status")(status.status)
+app.command("doctor")(doctor.doctor)
 app.command("certificates")(certificates.certificates)
 app.command("run-file")(run_file.run_file)
 

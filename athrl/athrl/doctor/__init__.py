@@ -1,0 +1,1 @@
+"""`athrl doctor`: whether this installation and this machine can carry a run, and how a live one is."""

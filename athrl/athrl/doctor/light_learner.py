@@ -1,0 +1,73 @@
+"""A learner that only takes chunks in: log, ledger and intake are the real ones, nothing is trained.
+
+    python -m athrl.doctor.light_learner ADDRESS FOLDER
+
+Says "ready" when it listens, and ends with its standard input.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from athrl_learner.files import Files
+from athrl_learner.segments import Kind, Record, SegmentFacts, SegmentLog, SegmentReader, numbered_segments
+from athrl_protocol import Chunk, ChunkIntake, decode_chunk, open_session
+from athrl_protocol.ledger import Ledger
+
+from athrl.doctor.round_trip import RUN
+
+SEGMENT_BYTES = 2**20
+_LISTEN_SECONDS = 30.0
+
+
+class WritingReceiver:
+    """Writes every chunk into the log before it is acknowledged, as the learner does."""
+
+    def __init__(self, log: SegmentLog) -> None:
+        self._log = log
+
+    def accept(self, chunk: Chunk, message: bytes) -> None:
+        """Write it down."""
+        self._log.append(Kind.CHUNK, message)
+
+    def refuse(self, chunk: Chunk) -> None:
+        """Nothing is refused here."""
+
+    def commit(self) -> None:
+        """Bring it to the disk where that is wanted."""
+        self._log.commit()
+
+
+def read_again(log: SegmentLog) -> Ledger:
+    """Return the ledger of what an earlier life wrote down, and have the log go on behind it."""
+    ledger, sealed, number = Ledger(), list[SegmentFacts](), 0
+    paths = numbered_segments(log.folder)
+    for segment, path in paths.items():
+        reader = SegmentReader(path, segment, log.next_record)
+        for item in reader:
+            if isinstance(item, Record):
+                ledger.record(decode_chunk(item.body))
+                number = item.number + 1
+            elif item.torn:
+                Files().cut(item.path, item.start)
+        sealed.append(reader.facts())
+    log.go_on(max(paths, default=0) + 1, number, sealed)
+    return ledger
+
+
+def main(address: str, folder: str) -> None:
+    """Take chunks in until the input is closed."""
+    log = SegmentLog(Path(folder), segment_bytes=SEGMENT_BYTES, fsync="never")
+    ledger = read_again(log)
+    with (
+        open_session(listen=address, timeout=_LISTEN_SECONDS, run=RUN) as session,
+        ChunkIntake(session, RUN, WritingReceiver(log), ledger),
+    ):
+        print("ready", flush=True)
+        sys.stdin.read()
+    log.close()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

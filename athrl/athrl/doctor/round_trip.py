@@ -1,0 +1,161 @@
+"""A small storm: chunks go to a learner of this machine that is killed in the middle; none may be lost."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from athrl_protocol import Chunk, ChunkUploader, LevelColumns, decode_chunk, new_incarnation, open_session
+from athrl_protocol.certificates import VARIABLE
+
+from athrl.doctor.finding import Finding, failed, ok
+from athrl.errors import CommandError
+
+CHUNKS = 3_000
+RUN = ACTOR = "doctor"
+START_SECONDS, ROUND_TRIP_SECONDS = 60.0, 120.0
+
+
+class Outcome(NamedTuple):
+    """What became of the chunks, and how many seconds nothing was acknowledged around the kill."""
+
+    acknowledged: int
+    lost: int
+    twice: int
+    stall: float
+
+
+def round_trip() -> Iterator[Finding]:
+    """Send some thousand chunks over loopback, kill the receiver in the middle, and count."""
+    if find_spec("athrl_learner") is None:
+        yield ok("delivery", "not tried: no learner is installed here")
+        return
+    with tempfile.TemporaryDirectory(prefix="athrl-doctor-") as scratch:
+        outcome = small_storm(Path(scratch), CHUNKS)
+    seen = (
+        f"{outcome.acknowledged} chunks acknowledged over a kill of the receiver, lost {outcome.lost}, "
+        f"twice {outcome.twice}, longest wait {outcome.stall:.1f} s"
+    )
+    if outcome.lost or outcome.twice or outcome.acknowledged < CHUNKS:
+        yield failed("delivery", seen, "trust no run to this machine: try another file system")
+    else:
+        yield ok("delivery", seen)
+
+
+def small_storm(folder: Path, chunks: int) -> Outcome:
+    """Deliver chunks into a log in `folder`, with a kill after a third of them.
+
+    Raises:
+        CommandError: the receiver does not start, or not everything is acknowledged in time.
+    """
+    address = f"tcp/127.0.0.1:{_free_port()}"
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_without_certificates())
+        receiver = stack.enter_context(_receiver(address, folder))
+        session = stack.enter_context(open_session(connect=address, timeout=START_SECONDS))
+        uploader = stack.enter_context(ChunkUploader(session, RUN, ACTOR, new_incarnation(), capacity=64))
+        deadline = time.monotonic() + ROUND_TRIP_SECONDS
+        _submit(uploader, range(chunks // 3), deadline)
+        before = uploader.statistics().acknowledged
+        killed_at = time.monotonic()
+        receiver.kill()
+        receiver.wait()
+        stack.enter_context(_receiver(address, folder))
+        while uploader.statistics().acknowledged <= before and time.monotonic() < deadline:
+            time.sleep(0.01)
+        stall = time.monotonic() - killed_at
+        _submit(uploader, range(chunks // 3, chunks), deadline)
+        if not uploader.flush(timeout=max(0.0, deadline - time.monotonic())):
+            raise CommandError(f"not all chunks were acknowledged within {ROUND_TRIP_SECONDS:.0f} s")
+        acknowledged = uploader.statistics().acknowledged
+    return count(folder, acknowledged, stall)
+
+
+def count(folder: Path, acknowledged: int, stall: float) -> Outcome:
+    """Look into the log: every sequence below `acknowledged` has to be there once, with its own content."""
+    from athrl_learner.segments import Record, SegmentReader, numbered_segments
+
+    found: Counter[int] = Counter()
+    for number, path in numbered_segments(folder).items():
+        for item in SegmentReader(path, number, 0):
+            if isinstance(item, Record):
+                chunk = decode_chunk(item.body)
+                if chunk.episode_seed == chunk.sequence:
+                    found[chunk.sequence] += 1
+    lost = sum(sequence not in found for sequence in range(acknowledged))
+    return Outcome(acknowledged, lost, sum(times > 1 for times in found.values()), stall)
+
+
+def made_up_chunk(number: int) -> Chunk:
+    """Return a small chunk that carries its number in its content."""
+    columns = LevelColumns(np.zeros((4, 2), np.float32), np.zeros(4, np.float32), np.zeros(8, np.float32))
+    return Chunk(
+        actor=ACTOR,
+        incarnation=0,
+        sequence=0,
+        environment=0,
+        episode_seed=number,
+        first_step=0,
+        length=4,
+        images=np.zeros((5, 8, 8, 4), np.uint8),
+        motion=np.zeros((5, 2), np.float32),
+        levels={"trajectory": columns},
+        policy_version=np.zeros(4, np.int64),
+        terminated=False,
+        truncated=False,
+    )
+
+
+def _submit(uploader: ChunkUploader, numbers: range, deadline: float) -> None:
+    for number in numbers:
+        if not uploader.submit(made_up_chunk(number), timeout=max(0.0, deadline - time.monotonic())):
+            raise CommandError(f"chunk {number} was not taken within {ROUND_TRIP_SECONDS:.0f} s")
+
+
+@contextlib.contextmanager
+def _receiver(address: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A light learner in a process of its own, ready; gone when the block ends."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "athrl.doctor.light_learner", address, str(folder)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        if process.stdout.readline().strip() != "ready":
+            _, said = process.communicate(timeout=START_SECONDS)
+            raise CommandError(f"the receiver does not start: {(said.strip().splitlines() or ['?'])[-1]}")
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@contextlib.contextmanager
+def _without_certificates() -> Iterator[None]:
+    """Use none inside the block, whatever the environment says: this is about delivery."""
+    named = os.environ.pop(VARIABLE, None)
+    try:
+        yield
+    finally:
+        if named is not None:
+            os.environ[VARIABLE] = named
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

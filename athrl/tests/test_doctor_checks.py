@@ -1,0 +1,206 @@
+"""Single checks of `athrl doctor`, each with the thing that it looks for."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from athrl.certificates import _load_authority, _new_role, _write_role, make_all
+from athrl.doctor import installation, machine, network
+from athrl.doctor.finding import Finding, Level, findings_of, ok
+from athrl.doctor.round_trip import count, made_up_chunk, small_storm
+from athrl.errors import CommandError
+from athrl_learner import translation
+from athrl_learner.segments import Kind, SegmentLog, numbered_segments
+from athrl_protocol import Chunk, encode_chunk
+from athrl_protocol.certificates import ROLES
+from athrl_protocol.run_file import RunFile, read_run_file
+
+from athrl import certificates
+
+HOSTS = ["127.0.0.1"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Certificates of every role."""
+    make_all(tmp_path / "certificates", HOSTS, 300)
+    return tmp_path / "certificates"
+
+
+def settings(*overrides: str) -> RunFile:
+    return read_run_file(None, overrides)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def looked_at(folder: Path) -> list[Finding]:
+    return list(network.certificates(settings(f"network.certificates={folder}")))
+
+
+def worst(found: list[Finding]) -> Finding:
+    order = list(Level)
+    return max(found, key=lambda finding: order.index(finding.level))
+
+
+def make_again(folder: Path, role: str, *, as_role: str, days: int) -> None:
+    authority = _load_authority(folder)
+    _write_role(folder / role, _new_role(authority, as_role, HOSTS, days), authority)
+
+
+def test_good_certificates_are_good(folder: Path) -> None:
+    found = looked_at(folder)
+    assert [finding.level for finding in found] == [Level.OK] * len(ROLES)
+    assert all("valid until" in finding.seen for finding in found)
+
+
+def test_folder_of_a_single_role_is_looked_at(folder: Path) -> None:
+    (found,) = looked_at(folder / "actor")
+    assert (found.check, found.level) == ("certificate actor", Level.OK)
+
+
+def test_expired_certificate_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        certificates, "CLOCK_DIFFERENCE", 30 * certificates.CLOCK_DIFFERENCE.__class__(days=1)
+    )
+    make_again(folder, "evaluator", as_role="evaluator", days=-1)
+    found = worst(looked_at(folder))
+    assert found.level is Level.FAILED
+    assert found.check == "certificate evaluator"
+    assert "expired on" in found.seen
+    assert found.remedy == f"athrl certificates {folder} --renew evaluator"
+
+
+def test_certificate_that_ends_soon_is_a_warning(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        certificates, "CLOCK_DIFFERENCE", 30 * certificates.CLOCK_DIFFERENCE.__class__(days=1)
+    )
+    make_again(folder, "viewer", as_role="viewer", days=3)
+    found = worst(looked_at(folder))
+    assert (found.check, found.level) == ("certificate viewer", Level.WARNING)
+
+
+def test_certificate_of_another_role_is_named(folder: Path) -> None:
+    make_again(folder, "actor", as_role="viewer", days=300)
+    found = worst(looked_at(folder))
+    assert (found.check, found.level) == ("certificate actor", Level.FAILED)
+    assert "'viewer'" in found.seen
+
+
+def test_certificate_of_another_authority_is_named(folder: Path, tmp_path: Path) -> None:
+    make_all(tmp_path / "other", HOSTS, 300)
+    (folder / "actor" / "ca.crt").write_bytes((tmp_path / "other" / "actor" / "ca.crt").read_bytes())
+    assert "is not of the authority" in worst(looked_at(folder)).seen
+
+
+def test_key_that_others_may_read_is_a_warning(folder: Path) -> None:
+    (folder / "learner" / "tls.key").chmod(0o644)
+    found = worst(looked_at(folder))
+    assert (found.check, found.level) == ("certificate learner", Level.WARNING)
+    assert "chmod 600" in found.remedy
+
+
+def test_missing_key_is_a_finding_and_the_others_are_looked_at(folder: Path) -> None:
+    (folder / "learner" / "tls.key").unlink()
+    found = looked_at(folder)
+    assert len(found) == len(ROLES)
+    assert worst(found).level is Level.FAILED
+    assert "tls.key" in worst(found).seen
+
+
+def test_open_address_without_certificates_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ATHRL_CERTIFICATES", raising=False)
+    found = list(network.port(settings(f"network.listen=tcp/0.0.0.0:{free_port()}")))
+    assert worst(found).level is Level.WARNING
+    assert "without certificates" in worst(found).seen
+
+
+def test_folder_that_cannot_be_written_is_named() -> None:
+    found = list(machine.disk(settings("run.folder=/proc/self")))
+    assert found[0].level is Level.FAILED
+    assert "cannot write" in found[0].seen
+
+
+def test_replay_is_sized_as_the_learner_sizes_it() -> None:
+    of_run = settings("replay.capacity=5000")
+    real = translation.make_replay(of_run, translation.make_agent(of_run)).bytes
+    assert machine.replay_bytes(of_run) == pytest.approx(real, rel=0.1)
+
+
+def test_service_of_another_release_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    version: Callable[[str], str] = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "9.9" if name == "athrl-actor" else version(name))
+    found = [finding for finding in installation.installation() if finding.check == "services"]
+    assert found[0].level is Level.FAILED
+    assert "athrl-actor 9.9" in found[0].seen
+
+
+def test_missing_dependency_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    requires: Callable[[str], list[str] | None] = metadata.requires
+    monkeypatch.setattr(metadata, "requires", lambda name: [*(requires(name) or []), "no-such-thing>=3"])
+    found = [finding for finding in installation.installation() if finding.check == "dependencies"]
+    assert found[0].level is Level.FAILED
+    assert "no-such-thing" in found[0].seen
+
+
+def test_small_storm_loses_nothing(tmp_path: Path) -> None:
+    outcome = small_storm(tmp_path, 300)
+    assert (outcome.acknowledged, outcome.lost, outcome.twice) == (300, 0, 0)
+    assert len(numbered_segments(tmp_path)) >= 2, "the receiver was killed and started again"
+
+
+def test_count_finds_what_is_missing_and_what_is_there_twice(tmp_path: Path) -> None:
+    log = SegmentLog(tmp_path, segment_bytes=2**20, fsync="never")
+    for number in (0, 1, 1, 3):
+        log.append(Kind.CHUNK, encode_chunk(_numbered(number)))
+    log.close()
+    outcome = count(tmp_path, 4, 0.0)
+    assert (outcome.lost, outcome.twice) == (1, 1)
+
+
+def _numbered(number: int) -> Chunk:
+    return replace(made_up_chunk(number), sequence=number)
+
+
+def test_expected_error_in_a_check_is_a_finding_and_a_bug_is_not() -> None:
+    def expected():
+        yield ok("a", "fine")
+        raise CommandError("what the user\ncan mend")
+
+    def bug():
+        yield ok("a", "fine")
+        raise KeyError("x")
+
+    found = list(findings_of("a", expected))
+    assert [finding.level for finding in found] == [Level.OK, Level.FAILED]
+    assert found[1].seen == "what the user can mend"
+    with pytest.raises(KeyError):
+        list(findings_of("a", bug))
+
+
+def test_doctor_needs_no_torch_and_no_simulation() -> None:
+    program = (
+        "import sys\n"
+        "for name in ('torch', 'athrl_learner', 'athrl_driving', 'athrl_planners', 'onnxruntime', 'rerun'):\n"
+        "    sys.modules[name] = None\n"
+        "from athrl.command import main\n"
+        f"sys.argv = ['athrl', 'doctor', '--set', 'network.listen=tcp/127.0.0.1:{free_port()}']\n"
+        "main()\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=200, env={**os.environ}
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "not tried: no learner is installed here" in result.stdout
+    assert "Traceback" not in result.stderr
