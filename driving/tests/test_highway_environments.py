@@ -20,7 +20,7 @@ assert highway_env  # importing it registers its environments
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
-# Few frames a scene: near standstill highway-env's steering divides by the speed, and the last bit grows.
+# Few frames a scene: where vehicles nearly stand NumPy's last bit grows (test_highway_free_runs.py).
 STEPS = 4
 
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
