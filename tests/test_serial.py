@@ -1,0 +1,249 @@
+"""A serial run repeats itself bit for bit: run again, stopped, interrupted or killed and gone on with."""
+
+import json
+import random
+import shutil
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from athrl.serial.session import run_serial
+from athrl_learner import CannotResume, translation
+from athrl_learner.arrivals import Arrivals
+from athrl_learner.checkpoint import newest_intact_checkpoint
+from athrl_learner.parts import make_experience
+from athrl_learner.snapshot import restore_snapshot
+from athrl_protocol.run_file import RunFile, read_run_file
+
+pytestmark = pytest.mark.timeout(300)
+
+SECONDS = 120.0
+
+# Episodes end, the replay's ring goes round, checkpoints, publications and scores come several times.
+TINY = (
+    "serial.enabled=true",
+    "run.environment_steps=600",
+    "environment.vehicles=10",
+    "environment.episode_ticks=120",
+    "exploration.random_decisions=100",
+    "planner.hidden_features=16",
+    "planner.recurrent_features=8",
+    "replay.capacity=300",
+    "learner.batch=4",
+    "learner.samples_per_insert=4",
+    "learner.publish_seconds=0.5",
+    "learner.checkpoint_seconds=1",
+    "actor.environments=3",
+    "evaluator.episodes=2",
+    "evaluator.final_episodes=2",
+    "evaluator.seconds_between=1.5",
+    "serial.trace_updates=5",
+)
+
+
+def arguments(folder: Path, name: str, *more: str) -> list[str]:
+    settings = [*TINY, f"run.folder={folder}", *more]
+    return ["train", "--name", name, *(word for setting in settings for word in ("--set", setting))]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def torch_as_it_was() -> Iterator[None]:
+    """Serial runs in this process change torch for the whole of it."""
+    threads = torch.get_num_threads()
+    yield
+    torch.use_deterministic_algorithms(False)
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of all runs, with one in it that nobody interrupted: `whole`."""
+    folder = tmp_path_factory.mktemp("serial")
+    assert drive(folder, "whole")
+    return folder
+
+
+def drive(folder: Path, name: str, *more: str, resume: bool = False, stop_at: int | None = None) -> bool:
+    """Drive a run in this process, from its beginning or on; whether it came to its end."""
+    settings = read_run_file(None, [*TINY, f"run.folder={folder}", f"run.name={name}", *more])
+    return run_serial(settings, resume=resume, stop=threading.Event(), stop_at=stop_at)
+
+
+def everything(folder: Path) -> dict[str, Any]:
+    """All that a run ended with: its newest checkpoint, the replay's arrays, the files beside it."""
+    found = newest_intact_checkpoint(folder / "checkpoints")
+    assert found is not None
+    _, content = found
+    run_file: RunFile = read_run_file(folder / "run.toml", complete=True)
+    agent = translation.make_agent(run_file)
+    store = make_experience(
+        run_file, agent, Arrivals(), translation.make_log(run_file, folder / "experience")
+    )
+    restore_snapshot(content, agent, store, "driven again")
+    return {
+        "state": {name: value for name, value in content.state.items() if name != "run_file"},
+        "agent": content.agent,
+        "actor": content.actor,
+        "records": [content.log.next_record, content.log.oldest],
+        "replay": store.replay.columns(),
+        "policy": (folder / "policies" / "latest.onnx").read_bytes(),
+        "trace": (folder / "trace.txt").read_text(),
+        "scores": (folder / "evaluations.jsonl").read_text(),
+        "comparison": json.loads((folder / "evaluation.json").read_text())["drivers"],
+    }
+
+
+def require_equal(ours: Any, theirs: Any, where: str = "") -> None:
+    """Compare bit for bit, and name what differs."""
+    assert type(ours) is type(theirs), where
+    if isinstance(ours, dict):
+        assert list(ours) == list(theirs), where
+        for name in ours:
+            require_equal(ours[name], theirs[name], f"{where}.{name}")
+    elif isinstance(ours, list | tuple):
+        assert len(ours) == len(theirs), where
+        for index, (our, their) in enumerate(zip(ours, theirs, strict=True)):
+            require_equal(our, their, f"{where}[{index}]")
+    elif isinstance(ours, torch.Tensor):
+        require_equal(ours.numpy(), theirs.numpy(), where)
+    elif isinstance(ours, np.ndarray):
+        assert (ours.dtype, ours.shape) == (theirs.dtype, theirs.shape), where
+        assert ours.tobytes() == theirs.tobytes(), where
+    else:
+        assert ours == theirs, where
+
+
+def require_same_run(runs: Path, name: str) -> None:
+    whole, other = everything(runs / "whole"), everything(runs / name)
+    assert whole["state"]["updates"] > 50
+    assert len(whole["replay"]["images"]) == 30  # the ring is full, and has gone round
+    require_equal(whole, other)
+
+
+def updates(folder: Path) -> int:
+    """How far a run's trace is."""
+    trace = folder / "trace.txt"
+    lines = trace.read_text().splitlines() if trace.exists() else []
+    return int(lines[-1].split(",")[0].removeprefix("update ")) if lines and "end" not in lines[-1] else 0
+
+
+def test_same_settings_are_the_same_run_bit_for_bit(runs: Path) -> None:
+    assert drive(runs, "again")
+    require_same_run(runs, "again")
+
+
+def test_another_seed_is_another_run_and_scores_do_not_touch_it(runs: Path) -> None:
+    drive(runs, "unscored", "evaluator.seconds_between=1000", stop_at=250)
+    drive(runs, "other", "run.seed=2", stop_at=250)
+    whole = (runs / "whole" / "trace.txt").read_text()
+    assert whole.startswith((runs / "unscored" / "trace.txt").read_text())
+    assert (runs / "other" / "trace.txt").read_text().splitlines()[0] not in whole
+
+
+def test_two_halves_equal_the_whole_bit_for_bit(command, runs: Path) -> None:
+    first = command.run(*arguments(runs, "halves"), "--stop-at", "300", seconds=SECONDS)
+    assert first.returncode == 0, first.stderr
+    assert "--stop-at" in first.stderr
+    steps = newest_intact_checkpoint(runs / "halves" / "checkpoints")[1].state["environment_steps"]
+    assert 300 <= steps < 330
+    second = command.run("train", "--resume", str(runs / "halves"), seconds=SECONDS)
+    assert second.returncode == 0, second.stderr
+    assert "rule-based" in second.stdout
+    require_same_run(runs, "halves")
+
+
+def test_stops_at_random_places_change_nothing(runs: Path) -> None:
+    places = sorted(random.Random(5).sample(range(1, 600), 7))
+    for turn, place in enumerate(places):
+        assert not drive(runs, "pieces", resume=turn > 0, stop_at=place)
+    assert drive(runs, "pieces", resume=True)
+    require_same_run(runs, "pieces")
+
+
+def test_finished_run_repeats_its_comparison_and_changes_nothing(runs: Path) -> None:
+    shutil.copytree(runs / "whole", runs / "finished")
+    (runs / "finished" / "evaluation.json").unlink()
+    assert drive(runs, "finished", resume=True)
+    require_same_run(runs, "finished")
+
+
+def interrupt(command, runs: Path, name: str, how: signal.Signals, *, when: Callable[[], bool]) -> None:
+    """Run the command, from the beginning or on, and send it a signal in the middle."""
+    begun = (runs / name / "run.toml").exists()
+    run = command.start(*(["train", "--resume", str(runs / name)] if begun else arguments(runs, name)))
+    deadline = time.monotonic() + SECONDS
+    while not when():
+        assert time.monotonic() < deadline, command.said(run)
+        assert run.poll() is None, command.said(run)
+        time.sleep(0.005)
+    run.send_signal(how)
+    assert run.wait(timeout=60) == (-how if how == signal.SIGKILL else 130), command.said(run)
+
+
+def test_terminated_run_repeats_itself(command, runs: Path) -> None:
+    interrupt(command, runs, "terminated", signal.SIGTERM, when=lambda: updates(runs / "terminated") >= 25)
+    assert drive(runs, "terminated", resume=True)
+    require_same_run(runs, "terminated")
+
+
+def test_killed_run_repeats_itself(command, runs: Path) -> None:
+    folder = runs / "killed"
+
+    def written() -> int:
+        found = newest_intact_checkpoint(folder / "checkpoints")
+        return found[1].state["updates"] if found is not None else 0
+
+    # Once before there is any checkpoint, once behind one.
+    begun = folder / "experience" / "segment-00000001.log"
+    interrupt(command, runs, "killed", signal.SIGKILL, when=lambda: begun.exists())
+    assert written() == 0
+    interrupt(command, runs, "killed", signal.SIGKILL, when=lambda: updates(folder) >= 30)
+    assert 0 < written() < updates(folder)  # what came after the checkpoint is there, and will be cut off
+    assert drive(runs, "killed", resume=True)
+    require_same_run(runs, "killed")
+
+
+def test_kinds_of_runs_are_told_apart_in_one_line(command, runs: Path) -> None:
+    whole = str(runs / "whole")
+    distributed = runs / "distributed"
+    shutil.copytree(runs / "whole", distributed)
+    text = (distributed / "run.toml").read_text()
+    (distributed / "run.toml").write_text(text.replace("enabled = true", "enabled = false"))
+    calls = {
+        "has no learner of its own": ["learner", "--resume", whole],
+        "goes on as one only": ["train", "--resume", whole, "--set", "serial.enabled=false"],
+        "hold no environments": ["train", "--serial", "--resume", str(distributed)],
+        "of a serial run": ["learner", "--resume", str(distributed)],
+        "--stop-at is for serial runs": ["train", "--stop-at", "5"],
+        "one actor": [*arguments(runs, "two"), "--actors", "2"],
+    }
+    results = command.run_together(list(calls.values()), seconds=SECONDS)
+    for words, result in zip(calls, results, strict=True):
+        assert result.returncode == 2, result.stderr
+        told = [line for line in result.stderr.splitlines() if line.startswith("athrl: ")]
+        assert len(told) == 1, result.stderr
+        assert words in told[0], told
+
+
+def test_settings_that_the_environments_do_not_fit_change_nothing(runs: Path) -> None:
+    with pytest.raises(CannotResume, match="does not fit the run's settings"):
+        drive(runs, "whole", "actor.environments=4", resume=True)
+    with pytest.raises(CannotResume, match="is not where it was"):
+        drive(runs, "whole", "environment.vehicles=9", resume=True)
+    assert read_run_file(runs / "whole" / "run.toml", complete=True).environment.vehicles == 10
+
+
+def test_damaged_log_is_named_since_the_run_could_not_be_the_same(runs: Path) -> None:
+    shutil.copytree(runs / "whole", runs / "damaged")
+    segment = sorted((runs / "damaged" / "experience").glob("segment-*.log"))[-1]
+    content = bytearray(segment.read_bytes())
+    content[-10] ^= 1
+    segment.write_bytes(content)
+    with pytest.raises(CannotResume, match=r"damaged.*run\.name"):
+        drive(runs, "damaged", resume=True)
