@@ -57,12 +57,15 @@ class Command:
         with ThreadPoolExecutor(len(calls)) as pool:
             return list(pool.map(lambda arguments: self.run(*arguments, seconds=seconds), calls))
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
-        """Start the command with its output in a file of the folder, which `said` reads."""
+    def start(self, *arguments: str, within: tuple[str, ...] = ()) -> subprocess.Popen[str]:
+        """Start the command with its output in a file of the folder, which `said` reads.
+
+        `within` are words before it, such as of another command that runs it.
+        """
         log = self.folder / f"{len(self.started)}-{arguments[0]}.log"
         with log.open("w") as output:
             process = subprocess.Popen(
-                [sys.executable, "-m", "athrl", *arguments],
+                [*within, sys.executable, "-m", "athrl", *arguments],
                 cwd=self.folder,
                 env=self.environment(),
                 stdin=subprocess.DEVNULL,

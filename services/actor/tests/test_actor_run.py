@@ -269,3 +269,21 @@ def test_frames_flow_while_somebody_watches(learner, start: Start):
 def test_the_actor_never_imports_torch():
     program = "import sys, athrl_actor; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], timeout=120).returncode == 0
+
+
+def test_the_last_report_accounts_for_every_chunk(learner, start: Start, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("athrl_actor.actor.DRAIN_SECONDS", 0.2)
+    learner.publish(0)
+    service = start()
+    learner.wait_for_chunks(3)
+    learner.full = True
+    assert learner.wait_for(lambda: learner.reports and learner.reports[-1].values["chunks_waiting"] > 0)
+    service.stop.set()
+    service.join()
+    assert learner.wait_for(lambda: learner.reports[-1].values["chunks_waiting"] == 0)
+    values = learner.reports[-1].values
+    assert values["chunks_given_up"] > 0
+    assert values["chunks_produced"] == values["chunks_acknowledged"] + values["chunks_given_up"]
+    assert values["chunks_acknowledged"] == len(learner.chunks)
+    reasons = [count for name, count in values.items() if name.startswith("chunks_given_up/")]
+    assert sum(reasons) == values["chunks_given_up"]
