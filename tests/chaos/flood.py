@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import zenoh
 import zstandard
-from athrl_protocol import ProtocolError, athrl_pb2, open_session
+from athrl_protocol import ProtocolError, athrl_pb2, fetch_run_file, open_session
 from athrl_protocol.certificates import find_certificates
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import encode_message
@@ -69,6 +69,8 @@ def flood(run: StormyRun, counts: Flood, seed: int, seconds: float) -> None:
     """Send malformed messages for so long, and count what became of them."""
     messages = malformed_messages(counts.name, random.Random(seed))
     with contextlib.suppress(zenoh.ZError, ProtocolError), _as_actor(run) as session:
+        # Who serves the run file takes chunks, too; before that nobody would be flooded.
+        fetch_run_file(session, RUN, timeout=_JOIN_SECONDS)
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             _send(session, counts, next(messages))

@@ -37,8 +37,14 @@ class Kind(StrEnum):
     STRANGERS = "connections of strangers"
 
 
-OFTEN = (Kind.LEARNER_KILLED, Kind.ACTOR_KILLED, Kind.LINK_SILENT, Kind.FLOOD)
-"""Twice in each deck of faults; everything else once."""
+FIRST = (
+    Kind.LEARNER_KILLED,
+    Kind.CHECKPOINT_DAMAGED,
+    Kind.ACTOR_KILLED,
+    Kind.LINK_SILENT,
+    Kind.FLOOD,
+)
+"""What comes first, in any order, so that also a short storm has it; from then on all kinds come alike."""
 
 _RESTARTED = {
     Kind.LEARNER_KILLED,
@@ -84,7 +90,7 @@ class Group:
 
 
 def schedule(seed: int, actors: list[str], evaluator: str, *, longest_pause: float) -> Iterator[Group]:
-    """Yield groups of faults without end; each kind comes before any comes again.
+    """Yield groups of faults without end: `FIRST`, and then every kind before any comes again.
 
     Args:
         seed: the same one gives the same faults.
@@ -93,7 +99,7 @@ def schedule(seed: int, actors: list[str], evaluator: str, *, longest_pause: flo
         longest_pause: seconds; of the long pauses and holes.
     """
     chance = random.Random(seed)
-    deck: list[Kind] = []
+    deck = chance.sample(FIRST, len(FIRST))
     while True:
         faults = [_next_fault(chance, deck, actors, evaluator, longest_pause)]
         if chance.random() < TWO_AT_ONCE:
@@ -109,8 +115,7 @@ def _next_fault(
     chance: random.Random, deck: list[Kind], actors: list[str], evaluator: str, longest_pause: float
 ) -> Fault:
     if not deck:
-        deck.extend([*Kind, *OFTEN])
-        chance.shuffle(deck)
+        deck.extend(chance.sample(list(Kind), len(Kind)))
     kind = deck.pop()
     return Fault(
         kind,

@@ -43,11 +43,11 @@ def test_nothing_is_lost_or_taken_twice_in_a_storm(command, tmp_path: Path) -> N
     assert storm.returncode == 0, said[-4000:]
     report = json.loads(said.splitlines()[-1])
     assert report["failures"] == []
-    assert report["faults"] >= 4
+    assert {"learner killed", "flood of malformed messages"} <= set(report["faults_by_kind"])
     assert report["acknowledged"] > 200
     assert (report["lost"], report["twice"]) == (0, 0)
-    assert report["longest_stall_s"] >= 0.0
-    assert report["malformed_refused"] >= 0
+    assert report["malformed_refused"] > 50
+    assert report["longest_stall_s"] > 0.0
     assert not command.left()
 
 
