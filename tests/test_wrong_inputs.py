@@ -108,3 +108,15 @@ def test_run_that_does_not_exist_is_named_with_those_that_do(
     assert learner.poll() is None
     learner.terminate()
     learner.wait(timeout=SECONDS)
+
+
+def test_watching_a_file_that_is_no_recording_is_refused_at_once(command, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("no episode")
+    assert_one_line(command.run("watch", "notes.txt", seconds=SECONDS), "notes.txt", ".mcap")
+
+
+def test_command_alone_shows_its_help_and_nothing_after_it(command) -> None:
+    result = command.run(seconds=SECONDS)
+    assert result.returncode == 2
+    assert "train" in result.stdout
+    assert result.stderr == ""

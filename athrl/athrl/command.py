@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import sys
 import traceback
-from typing import Any
+from importlib.metadata import version
+from typing import Annotated, Any
 
 import typer
 
@@ -18,6 +19,13 @@ from athrl.train import command as train
 UsageError: Any = typer.BadParameter.__base__
 """Whatever is wrong with the words of a command line; typer has no public name for it."""
 
+
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        print(f"athrl {version('athrl')}")
+        raise typer.Exit
+
+
 app = typer.Typer(
     name="athrl",
     help="Train a hierarchical driving planner with many actors, one learner and an evaluator.",
@@ -25,6 +33,16 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+@app.callback()
+def _whole(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None: ...
+
+
 app.command("train")(train.train)
 app.command("learner")(services.learner)
 app.command("actor")(services.actor)
@@ -54,6 +72,8 @@ def _run() -> int:
     try:
         return app(prog_name="athrl", standalone_mode=False) or 0
     except UsageError as error:  # an option that is missing, unknown or out of its bounds
+        if not error.format_message():  # without a subcommand the help has been shown
+            return EXPECTED_ERROR
         say(f"{str(error.format_message()).rstrip('.')}; see athrl {_subcommand()}--help")
         return EXPECTED_ERROR
     except typer.Abort:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from athrl.errors import needs
+from athrl.errors import CommandError, needs
 from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, LiveRunOption
 from athrl.stopping import stop_on_signal
 
@@ -32,6 +32,7 @@ def watch(
     certificates: CertificatesOption = None,
 ) -> None:
     """Draw an episode in rerun: the evaluator's or an actor's while it is driven, or a recorded one."""
+    _require_actor_or_recording(what)
     role, name = ("actor", what) if what is not None else ("evaluator", "evaluator")
     with stop_on_signal() as stop:
         with needs("evaluator"):
@@ -41,3 +42,11 @@ def watch(
             watch_recording(Path(what), serve=serve, bind=bind, stop=stop)
             return
         draw_frames(connect=connect, run=run, role=role, name=name, serve=serve, bind=bind, stop=stop)
+
+
+def _require_actor_or_recording(what: str | None) -> None:
+    """Raise CommandError for a path that can be no actor's name and is no recording."""
+    if what is None or what.endswith(".mcap"):
+        return
+    if "/" in what or Path(what).exists():
+        raise CommandError(f"{what} is no recorded episode (FILE.mcap) and no actor's name")

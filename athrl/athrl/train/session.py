@@ -12,6 +12,7 @@ from athrl_protocol.session import require_free
 from athrl.errors import CommandError
 from athrl.names import program
 from athrl.run_view import RunSnapshot, RunView
+from athrl.train import simulation
 from athrl.train.display import Display
 from athrl.train.plan import Plan, is_free
 from athrl.train.supervisor import Supervisor
@@ -92,6 +93,8 @@ class TrainingSession:
         return None
 
     def _start_others(self) -> None:
+        if not simulation.is_compiled():
+            self._display.say("first the simulation is compiled, about a minute, once per installation")
         for service in [*self._actors, self._evaluator]:
             self._supervisor.start(service)
         self._where_to_look += self._start_viewer()

@@ -32,8 +32,7 @@ def server_process(bind: str, port: int) -> Iterator[subprocess.Popen]:
 @contextmanager
 def viewer_process(port: int) -> Iterator[subprocess.Popen]:
     """A viewer with a window, which listens at loopback; raises ProtocolError where there is no screen."""
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ProtocolError("this machine has no screen for a viewer: use --serve PORT and open it elsewhere")
+    require_screen()
     options = [
         "--bind",
         "127.0.0.1",
@@ -45,6 +44,12 @@ def viewer_process(port: int) -> Iterator[subprocess.Popen]:
     ]
     with _process("127.0.0.1", port, options) as process:
         yield process
+
+
+def require_screen() -> None:
+    """Raise ProtocolError where there is no screen to show a viewer's window on."""
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ProtocolError("this machine has no screen for a viewer: use --serve PORT and open it elsewhere")
 
 
 def proxy_address(bind: str, port: int) -> str:

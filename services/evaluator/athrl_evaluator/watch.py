@@ -29,7 +29,7 @@ from athrl_protocol.run_file import NetworkSection
 
 from athrl_evaluator.drawing import APPLICATION, SceneDrawing, default_blueprint
 from athrl_evaluator.recording_drawing import read_frames
-from athrl_evaluator.viewer import free_port, proxy_address, server_process, viewer_process
+from athrl_evaluator.viewer import free_port, proxy_address, require_screen, server_process, viewer_process
 
 QUEUE = 50  # frames
 POLL_SECONDS = 0.2
@@ -73,6 +73,8 @@ def watch(
     is over; its address is printed. Without `run` it is the only one that is there. Raises ProtocolError
     when the learner, the run or the actor is not there, or the port is taken.
     """
+    if serve is None:
+        require_screen()  # before anybody is waited for
     stop = stop or threading.Event()
     frames = FrameQueue(QUEUE)
     with ExitStack() as stack:
