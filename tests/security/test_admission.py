@@ -43,6 +43,10 @@ def status(command, port: int, *certificates: str, protocol: str = "tls") -> sub
     return command.run("status", "--connect", address, "--json", *certificates, seconds=SECONDS)
 
 
+def test_learner_names_the_address_at_which_it_really_listens(command, learner_process, port: int) -> None:
+    assert f"listens at tls/127.0.0.1:{port}" in command.said(learner_process)
+
+
 def test_only_the_authoritys_certificates_get_in(
     command, learner_process, port: int, ours: Path, foreign: Path, eventually
 ) -> None:
