@@ -1,0 +1,209 @@
+"""A thousand actors on one learner: how soon all are heard, how long an acknowledgement takes, what it costs.
+
+Each actor has a Zenoh session, a presence, metrics and an uploader of its own, and joins the run as any actor
+does; it only drives nothing, and takes no policies. Some hundred share a process. The learner's side is its
+intake, log and replay, its watch over who is there, and state and metrics once a second, without training.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from athrl_learner import translation
+from athrl_learner.arrivals import Arrivals
+from athrl_learner.parts import make_experience
+from athrl_learner.store import ExperienceStore
+from athrl_protocol import (
+    ChunkIntake,
+    MetricsPublisher,
+    MetricsSubscriber,
+    Phase,
+    PresenceWatcher,
+    RunFile,
+    RunState,
+    StatePublisher,
+    announce_presence,
+    open_session,
+    read_run_file,
+    serve_run_file,
+)
+
+from benchmarks.light_crowd import RUN, STEPS, resident_mebibytes
+
+_PATIENCE = 60.0
+
+
+class Crowd:
+    """The processes of the actors."""
+
+    def __init__(self, address: str, actors: int, processes: int, transitions_per_second: float) -> None:
+        """Start them; each joins its actors one after the other."""
+        share, rate = actors // processes, transitions_per_second / actors / STEPS
+        command = [sys.executable, "-m", "benchmarks.light_crowd", address]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._processes = [
+            subprocess.Popen([*command, str(number * share), str(share), str(rate)], **pipes)
+            for number in range(processes)
+        ]
+
+    def wait_until_joined(self) -> None:
+        """Return when every actor has joined the run."""
+        for process in self._processes:
+            if process.stdout.readline() != b"ready\n":
+                sys.exit("a crowd could not be started")
+
+    def begin(self) -> None:
+        """Let them send."""
+        for process in self._processes:
+            process.stdin.write(b"\n")
+            process.stdin.flush()
+
+    def end(self) -> list[dict[str, Any]]:
+        """Let them stop; what each process reports."""
+        for process in self._processes:
+            process.stdin.close()
+        return [json.loads(process.stdout.readline()) for process in self._processes]
+
+    def close(self) -> None:
+        """See that all processes end."""
+        for process in self._processes:
+            process.stdin.close()
+        for process in self._processes:
+            try:
+                process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+@contextlib.contextmanager
+def news(session: Any, run_file: RunFile, store: ExperienceStore, arrivals: Arrivals) -> Iterator[Any]:
+    """What a learner says and hears beside the chunks; gives a function that reports once."""
+    heard: dict[str, float] = {}
+    with (
+        serve_run_file(session, run_file),
+        announce_presence(session, RUN, "learner", "learner"),
+        PresenceWatcher(session, RUN) as presence,
+        StatePublisher(session, RUN) as state,
+        MetricsPublisher(session, RUN, "learner", "learner") as metrics,
+        MetricsSubscriber(session, RUN, lambda report: heard.__setitem__(report.name, report.time)),
+    ):
+
+        def report() -> tuple[int, int]:
+            """Say how things stand; how many actors are present, and how many report metrics."""
+            with store.held():
+                values = arrivals.metrics()
+            state.publish(RunState(Phase.TRAINING, store.environment_steps, 10**9, 0, 0, ""))
+            metrics.publish(values)
+            present = sum(role == "actor" for role, _ in presence.present())
+            return present, sum(name.startswith("actor-") for name in heard)
+
+        yield report
+
+
+def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
+    """Let a crowd join and send, and tell how it went."""
+    run_file = read_run_file(
+        None,
+        [
+            f"run.name={RUN}",
+            f"replay.sequence_length={STEPS}",
+            "learner.samples_per_insert=0.001",
+            "run.environment_steps=1000000000",
+        ],
+    )
+    arrivals = Arrivals()
+    store = make_experience(
+        run_file, translation.make_agent(run_file), arrivals, translation.make_log(run_file, folder)
+    )
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with (
+        contextlib.closing(store.log),
+        open_session(listen=address, timeout=_PATIENCE) as session,
+        news(session, run_file, store, arrivals) as report,
+        ChunkIntake(session, RUN, store) as intake,
+    ):
+        began, memory_alone = time.monotonic(), resident_mebibytes()
+        crowd = Crowd(address, arguments.actors, arguments.processes, arguments.transitions)
+        with contextlib.closing(crowd):
+            crowd.wait_until_joined()
+            joined = time.monotonic() - began
+            print(f"{arguments.actors} actors joined in {joined:.0f} s", flush=True)
+            crowd.begin()
+            began, busy = time.monotonic(), time.process_time()
+            heard = wait_until_all_are_heard(intake, arguments.actors)
+            until = began + max(arguments.seconds, heard + 5)
+            present = reporting = 0
+            while time.monotonic() < until:
+                time.sleep(1.0)
+                present, reporting = report()
+            elapsed, busy = time.monotonic() - began, time.process_time() - busy
+            taken, memory = store.environment_steps, resident_mebibytes()
+            reports = crowd.end()
+        stored = intake.statistics().stored
+    waits = np.array([wait for one in reports for wait in one["waits"]])
+    counts = {
+        name: sum(one[name] for one in reports) for name in ("acknowledged", "given_up", "resent", "waiting")
+    }
+    if counts["acknowledged"] != stored:
+        sys.exit(f"{counts['acknowledged']} chunks acknowledged, {stored} stored")
+    return {
+        "actors": arguments.actors,
+        "present": present,
+        "reporting": reporting,
+        "joined_s": joined,
+        "all_heard_s": heard,
+        "transitions_per_second": taken / elapsed,
+        "ack_p50_s": float(np.quantile(waits, 0.5)),
+        "ack_p99_s": float(np.quantile(waits, 0.99)),
+        "ack_max_s": float(waits.max()),
+        "learner_cores": busy / elapsed,
+        "actors_cores": sum(one["busy"] for one in reports) / elapsed,
+        "learner_mebibytes": memory,
+        "learner_mebibytes_alone": memory_alone,
+        "actors_mebibytes": sum(one["mebibytes"] for one in reports),
+        **counts,
+    }
+
+
+def wait_until_all_are_heard(intake: ChunkIntake, actors: int) -> float:
+    """Seconds until a chunk of every actor is stored."""
+    began = time.monotonic()
+    while len(intake.ledger()) < actors:
+        if time.monotonic() - began > _PATIENCE:
+            sys.exit(f"only {len(intake.ledger())} of {actors} actors were heard in {_PATIENCE:.0f} s")
+        time.sleep(0.1)
+    return time.monotonic() - began
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--actors", type=int, default=1000)
+    parser.add_argument("--processes", type=int, default=8)
+    parser.add_argument("--transitions", type=float, default=5000, help="a second, of all actors together")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        row = measure(arguments, Path(folder) / "experience")
+    row = {name: round(value, 3) for name, value in row.items()}
+    for name, value in row.items():
+        print(f"{name:24s} {value:10,g}")
+    print(json.dumps({"cores": os.cpu_count(), "load": os.getloadavg()[0], **row}))
+
+
+if __name__ == "__main__":
+    main()
