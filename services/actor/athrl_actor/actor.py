@@ -30,7 +30,7 @@ from athrl_protocol import (
 )
 from athrl_protocol.run_file import RunFile
 
-from athrl_actor.failures import FailureCount, TooManyFailures
+from athrl_actor.failures import FailureCount
 from athrl_actor.frames import frame_of_moment
 from athrl_actor.policy_lag import PolicyLag
 from athrl_actor.rollout import Moment, Rollout
@@ -92,7 +92,7 @@ class Actor:
         self._failures = FailureCount(run_file.actor.failures_allowed)
 
     def run(self) -> None:
-        """Drive to the end, then hand over what is left; so also before TooManyFailures is raised."""
+        """Drive to the end, then hand over what is left; so also where driving ends with an error."""
         try:
             while not self._over():
                 self._adopt_newest_policy()
@@ -101,10 +101,8 @@ class Actor:
                     self._hand_over(self._drive())
                 else:
                     self._stop.wait(POLL_SECONDS)
-        except TooManyFailures:
+        finally:
             self._drain()
-            raise
-        self._drain()
 
     def _may_drive(self) -> bool:
         """Whether there is a policy, and it is not too old."""
@@ -154,7 +152,7 @@ class Actor:
                 complained = True
 
     def _drain(self) -> None:
-        """Hand over the open chunks and wait a little for their acknowledgement."""
+        """Hand over the open chunks, wait a little for their acknowledgement, and say what became of all."""
         self._pending.extend(self._rollout.flush())
         deadline = time.monotonic() + DRAIN_SECONDS
         while self._pending and not self._uploader.finished:
@@ -165,6 +163,10 @@ class Actor:
         left = len(self._pending) + self._uploader.statistics().waiting
         if left and not self._uploader.finished:
             log.warning("%d chunks were not acknowledged within %.0f s", left, DRAIN_SECONDS)
+        self._uploader.give_up(len(self._pending))
+        self._pending.clear()
+        self._uploader.close()
+        self._metrics.publish(self._report_values())
 
     def _report(self) -> None:
         """Publish metrics about once a second."""
@@ -182,6 +184,7 @@ class Actor:
             "chunks_acknowledged": uploads.acknowledged,
             "chunks_resent": uploads.resent,
             "chunks_given_up": uploads.given_up,
+            **{f"chunks_given_up/{reason}": count for reason, count in uploads.given_up_by_reason.items()},
             "chunks_waiting": uploads.waiting,
         }
         version = self._rollout.policy_version
