@@ -113,16 +113,8 @@ class TownEnv(AbstractEnv):
         result = type(self).__new__(type(self))
         memo[id(self)] = result
         memo[id(self.town)] = self.town
-        remade = (
-            "viewer",
-            "_record_video_wrapper",
-            "road",
-            "controlled_vehicles",
-            "_row",
-            "observation_type",
-        )
         for name, value in self.__dict__.items():
-            if name not in (*remade, "action_type"):
+            if name not in _REMADE:
                 setattr(result, name, copy.deepcopy(value, memo))
         result.viewer = result._record_video_wrapper = None
         result.observation_type, result.action_type = BirdEyeObservation(result), WaypointAction(result)

@@ -29,49 +29,47 @@ def drivable_part(strips: list[Strip], standing: set[LanePiece], ways: list[Way]
     """Return the largest part (by length) of the lanes in which every one can be reached from every other."""
     pieces = [piece for strip in strips for piece in strip.lanes if piece in standing]
     number = {piece: place for place, piece in enumerate(pieces)}
-    links: Edges = [[] for _ in range(len(pieces) + len(ways))]
-    for piece in pieces:
-        links[number[piece]] += [number[after] for after in piece.successors if after in number]
-    for place, way in enumerate(ways, len(pieces)):
-        links[number[way.origin]].append(place)
-        links[place].append(number[way.exit])
     pairs = [
         (number[left], number[right])
         for strip in strips
         for left, right in zip(strip.lanes, strip.lanes[1:], strict=False)
         if left in number and right in number and _beside(left, right)
     ]
-    marked = [list(targets) for targets in links]
+    ahead = _ways_ahead(pieces, number, ways)
+    anywhere = [list(targets) for targets in ahead]
+    marked = [list(targets) for targets in ahead]
     for left, right in pairs:
+        anywhere[left].append(right)
+        anywhere[right].append(left)
         if pieces[left].may_right:
             marked[left].append(right)
         if pieces[right].may_left:
             marked[right].append(left)
-    for left, right in pairs:
-        links[left].append(right)
-        links[right].append(left)
     weights = [piece.length for piece in pieces] + [0.0] * len(ways)
-    kept = _heaviest(components(links), weights)
+    kept = _heaviest(components(anywhere), weights)
     part = components([[target for target in targets if kept[target]] for targets in marked])
-    left_of: dict[LanePiece, LanePiece] = {}
-    right_of: dict[LanePiece, LanePiece] = {}
-    opened = 0
-    for left, right in pairs:
-        if not (kept[left] and kept[right]):
-            continue
-        opens = part[left] != part[right]
-        opened += opens and not (pieces[left].may_right and pieces[right].may_left)
-        if pieces[left].may_right or opens:
-            right_of[pieces[left]] = pieces[right]
-        if pieces[right].may_left or opens:
-            left_of[pieces[right]] = pieces[left]
+    # Lanes in different parts cannot be reached from each other by the marks.
+    kept_pairs = [
+        (pieces[left], pieces[right], part[left] != part[right])
+        for left, right in pairs
+        if kept[left] and kept[right]
+    ]
     return Drivable(
         pieces=[piece for place, piece in enumerate(pieces) if kept[place]],
         ways=[way for place, way in enumerate(ways, len(pieces)) if kept[place]],
-        left=left_of,
-        right=right_of,
-        opened=opened,
+        left={right: left for left, right, opens in kept_pairs if right.may_left or opens},
+        right={left: right for left, right, opens in kept_pairs if left.may_right or opens},
+        opened=sum(opens and not (left.may_right and right.may_left) for left, right, opens in kept_pairs),
     )
+
+
+def _ways_ahead(pieces: list[LanePiece], number: dict[LanePiece, int], ways: list[Way]) -> Edges:
+    """Return what follows each piece, and each way after them, without a change of lane."""
+    links: Edges = [[number[after] for after in piece.successors if after in number] for piece in pieces]
+    for place, way in enumerate(ways, len(pieces)):
+        links[number[way.origin]].append(place)
+        links.append([number[way.exit]])
+    return links
 
 
 def _beside(left: LanePiece, right: LanePiece) -> bool:
