@@ -2,6 +2,7 @@
 
 import random
 import signal
+import socket
 import time
 
 import pytest
@@ -18,11 +19,16 @@ BEFORE_THE_START = {-signal.SIGINT, -signal.SIGTERM, 130}
 @pytest.mark.parametrize("seed", range(ROUNDS))
 def test_services_start_and_stop_in_any_order(command, tiny: list[str], port: int, seed: int) -> None:
     dice = random.Random(seed)
-    where = ["--connect", f"tcp/127.0.0.1:{port}", "--run", "order"]
+    learner = f"tcp/127.0.0.1:{port}"
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        router = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    where = ["--connect", dice.choice([learner, router]), "--run", "order"]
     services = {
         "learner": ["learner", *tiny, "--set", "run.name=order", "--set", "run.environment_steps=1000000"],
         "actor": ["actor", *where, "--name", "one"],
         "evaluator": ["evaluator", *where, "--folder", "runs"],
+        "router": ["router", "--listen", router, "--connect", learner, "--run", "order"],
     }
     processes = {}
     for name in dice.sample(sorted(services), len(services)):
@@ -37,4 +43,35 @@ def test_services_start_and_stop_in_any_order(command, tiny: list[str], port: in
     assert set(codes.values()) <= {0, *BEFORE_THE_START}, "\n".join(
         command.said(process) for process in processes.values()
     )
+    assert not command.left()
+
+
+def test_second_signal_stops_each_service_at_once(command, eventually, tiny: list[str], port: int) -> None:
+    """Also where the first one is still at work: a paused learner keeps all others from handing over."""
+    learner = f"tcp/127.0.0.1:{port}"
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        router = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    name = ["--set", "run.name=order", "--set", "run.environment_steps=1000000"]
+    processes = [
+        command.start("learner", *tiny, *name),
+        command.start("router", "--listen", router, "--connect", learner, "--run", "order"),
+        command.start("actor", "--connect", router, "--run", "order", "--name", "one"),
+        command.start("evaluator", "--connect", router, "--run", "order", "--folder", "runs"),
+    ]
+    look = ["status", "--connect", learner, "--run", "order", "--check"]
+    for service in (["actor", "--name", "one"], ["evaluator"]):
+        eventually(lambda service=service: command.run(*look, *service, seconds=60).returncode == 0, 200)
+    processes[0].send_signal(signal.SIGSTOP)
+    for number in range(2):
+        for process in processes[1:]:
+            process.send_signal(signal.SIGTERM)
+        time.sleep(0.1 + number)
+    for process in processes[1:]:
+        assert process.wait(timeout=DRAIN_SECONDS) in {0, 128 + signal.SIGTERM}, command.said(process)
+    processes[0].send_signal(signal.SIGCONT)
+    for _ in range(2):
+        processes[0].send_signal(signal.SIGTERM)
+        time.sleep(0.05)
+    assert processes[0].wait(timeout=DRAIN_SECONDS) in {0, 128 + signal.SIGTERM}
     assert not command.left()

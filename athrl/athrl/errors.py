@@ -12,6 +12,7 @@ _EXPECTED = (
     ("athrl_protocol", "ProtocolError"),
     ("athrl_driving.errors", "DrivingError"),
     ("athrl_driving.policy", "InvalidPolicy"),
+    ("athrl_driving.policy", "EnvironmentFailure"),
     ("athrl_learner", "LearnerError"),
     ("athrl_actor", "ActorError"),
 )

@@ -32,6 +32,8 @@ from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, largest_message
 # A silent peer is given up after this time; a killed one at once, by its closed connection.
 LEASE_MILLISECONDS = 5_000
 RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+# TCP would try one connection for minutes, at ever longer intervals: after a cut a new one is sooner through.
+OPEN_MILLISECONDS = 2_000
 # Zenoh's attempts cannot be interrupted by a signal, so each is short.
 ATTEMPT_SECONDS = 1.0
 PAUSE_SECONDS = 0.1
@@ -124,6 +126,7 @@ def _configuration(mode: str, shown: Certificates | None, settings: dict[str, An
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # a router would wait that long for what scouting finds
         "transport/link/tx/lease": LEASE_MILLISECONDS,
+        "transport/unicast/open_timeout": OPEN_MILLISECONDS,
         # It would pass by the encryption, and take 16 MiB for each connection: 16 GiB of a learner of a
         # thousand actors. It saves a chunk nothing that could be measured.
         "transport/shared_memory/enabled": False,

@@ -6,6 +6,7 @@ Needs `onnxruntime` (`pip install athrl-driving[policy]`) and nothing that train
 from athrl_driving.policy.batch import BatchStep, EnvironmentBatch, environment_config
 from athrl_driving.policy.exploration import ExplorationNoise
 from athrl_driving.policy.guard import (
+    AnyBatch,
     EnvironmentFailure,
     EnvironmentRaised,
     EnvironmentStalled,
@@ -22,6 +23,7 @@ from athrl_driving.policy.runner import OnnxPolicy, PolicyStep
 
 __all__ = [
     "ActionMetadata",
+    "AnyBatch",
     "BatchStep",
     "EnvironmentBatch",
     "EnvironmentFailure",

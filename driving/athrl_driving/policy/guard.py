@@ -136,6 +136,10 @@ def _describe(what: str, error: Exception) -> str:
     return " ".join(f"{what} raised {type(error).__name__}: {error}".split())
 
 
+AnyBatch = EnvironmentBatch | GuardedBatch
+"""What drives a batch need not know which of them it is."""
+
+
 class _Abandoned(Exception):  # noqa: N818 - a call's own TimeoutError is something else
     """A call did not return in time."""
 

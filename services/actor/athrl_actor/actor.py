@@ -177,7 +177,7 @@ class Actor:
 
     def _report_values(self) -> dict[str, float]:
         uploads = self._uploader.statistics()
-        values = {
+        values: dict[str, float] = {
             **self._rollout.statistics.report(),
             **self._failures.report(),
             "chunks_produced": uploads.produced,

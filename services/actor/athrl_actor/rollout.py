@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from athrl_driving.envs import TownRow
 from athrl_driving.policy import (
+    AnyBatch,
     BatchStep,
-    EnvironmentBatch,
     ExplorationNoise,
-    GuardedBatch,
     InvalidPolicy,
     OnnxPolicy,
     PolicyStep,
@@ -43,7 +42,7 @@ class Rollout:
 
     def __init__(
         self,
-        batch: EnvironmentBatch | GuardedBatch,
+        batch: AnyBatch,
         seeds: ActorSeeds,
         *,
         actor: str,

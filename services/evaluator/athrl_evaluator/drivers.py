@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from athrl_driving import Driver, make_driver
 from athrl_driving.envs import TownRow
-from athrl_driving.policy import EnvironmentBatch, OnnxPolicy
+from athrl_driving.policy import AnyBatch, OnnxPolicy
 
 REFERENCE_DRIVERS = ("random", "blind", "rule-based")
 
@@ -34,7 +34,7 @@ class BatchDriver(Protocol):
     def begin(self, row: int, environment: TownRow, seed: int) -> None:
         """An episode has just begun in a row."""
 
-    def decide(self, batch: EnvironmentBatch, active: np.ndarray) -> Decisions:
+    def decide(self, batch: AnyBatch, active: np.ndarray) -> Decisions:
         """Decide for the rows of `active` bool [count]; the other rows' values are ignored."""
 
 
@@ -54,7 +54,7 @@ class GreedyPolicy:
         for state in self._states.values():
             state[row] = 0
 
-    def decide(self, batch: EnvironmentBatch, active: np.ndarray) -> Decisions:
+    def decide(self, batch: AnyBatch, active: np.ndarray) -> Decisions:
         """Run the policy over blocks of POLICY_ROWS rows."""
         metadata, count = self._policy.metadata, len(batch)
         images = _padded(batch.images, self._padded)
@@ -86,7 +86,7 @@ class ReferenceDriver:
         """Begin the row's driver's episode."""
         self._drivers[row].reset(environment, seed)
 
-    def decide(self, batch: EnvironmentBatch, active: np.ndarray) -> Decisions:
+    def decide(self, batch: AnyBatch, active: np.ndarray) -> Decisions:
         """Ask the driver of each active row."""
         actions = np.zeros((len(batch), 2), np.float32)
         for row in np.flatnonzero(active):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from athrl_driving.envs import TownRow
-from athrl_driving.policy import EnvironmentBatch
+from athrl_driving.policy import AnyBatch
 
 from athrl_evaluator.drivers import BatchDriver
 from athrl_evaluator.scores import EpisodeResult
@@ -84,14 +84,14 @@ class _Running:
 
 def drive_episodes(
     driver: BatchDriver,
-    batch: EnvironmentBatch,
+    batch: AnyBatch,
     seeds: Sequence[int],
     onlookers: Sequence[Onlooker] = (),
     stop: threading.Event | None = None,
 ) -> list[EpisodeResult]:
     """Drive one episode on each seed; results are in the seeds' order whatever the batch's size is.
 
-    Raises Stopped when `stop` is set before the last episode is over.
+    Raises Stopped when `stop` is set before the last episode is over, and EnvironmentFailure as `batch` does.
     """
     results: dict[int, EpisodeResult] = {}
     waiting = iter(enumerate(seeds))
@@ -118,9 +118,7 @@ def drive_episodes(
     return [results[index] for index in range(len(seeds))]
 
 
-def _begin(
-    driver: BatchDriver, batch: EnvironmentBatch, row: int, waiting: enumerate[int] | Any
-) -> _Running | None:
+def _begin(driver: BatchDriver, batch: AnyBatch, row: int, waiting: enumerate[int] | Any) -> _Running | None:
     """Begin the next waiting episode in a row; None when there is none."""
     following = next(waiting, None)
     if following is None:
@@ -131,9 +129,7 @@ def _begin(
     return _Running(index=index, seed=seed)
 
 
-def _look(
-    running: _Running, batch: EnvironmentBatch, row: int, intention: float, reward: float
-) -> EpisodeStep:
+def _look(running: _Running, batch: AnyBatch, row: int, intention: float, reward: float) -> EpisodeStep:
     return EpisodeStep(
         index=running.index,
         seed=running.seed,

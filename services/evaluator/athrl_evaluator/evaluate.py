@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from athrl_driving.policy import EnvironmentBatch, OnnxPolicy, PolicyMetadata, environment_config
-from athrl_protocol.run_file import EnvironmentSection
+from athrl_driving.policy import GuardedBatch, OnnxPolicy, PolicyMetadata, environment_config
+from athrl_protocol.run_file import ActorSection, EnvironmentSection
 
 from athrl_evaluator.drivers import REFERENCE_DRIVERS, BatchDriver, GreedyPolicy, ReferenceDriver
 from athrl_evaluator.episodes import Onlooker, drive_episodes
@@ -28,7 +28,7 @@ def evaluate_driver(
     `driver` is a policy, a policy file, or one of REFERENCE_DRIVERS by name. A policy drives an environment
     with the image size and the action ranges that it was trained for; the rest is `environment`'s. The scores
     do not depend on `batch`, the number of environments stepped together.
-    Raises InvalidPolicy for a file that is not a policy.
+    Raises InvalidPolicy for a file that is not a policy, and EnvironmentFailure where an environment fails.
     """
     section = environment or EnvironmentSection()
     policy = None if driver in REFERENCE_DRIVERS else _load(driver)
@@ -42,11 +42,13 @@ def evaluate_driver(
         environments.close()
 
 
-def make_batch(section: EnvironmentSection, count: int) -> EnvironmentBatch:
-    """`count` environments as the run file describes them."""
+def make_batch(
+    section: EnvironmentSection, count: int, stall_seconds: float = ActorSection().stall_seconds
+) -> GuardedBatch:
+    """`count` environments as the run file describes them; a step that takes longer raises an error."""
     settings = section.model_dump()
     town = settings.pop("town")
-    return EnvironmentBatch(town, environment_config(**settings), count)
+    return GuardedBatch(town, environment_config(**settings), count, seconds=stall_seconds)
 
 
 def make_batch_driver(driver: OnnxPolicy | str, count: int, policy_version: int = 0) -> BatchDriver:

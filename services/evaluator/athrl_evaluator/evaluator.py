@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import zenoh
-from athrl_driving.policy import InvalidPolicy
+from athrl_driving.policy import EnvironmentFailure, InvalidPolicy
 from athrl_protocol import (
     EvaluationPublisher,
     EvaluationResult,
@@ -48,7 +48,7 @@ def run_evaluator(*, connect: str, run: str, name: str, folder: Path, stop: thre
     """Evaluate until the run is finished and compared, or `stop` is set.
 
     Results are written under `folder/run`. Raises ProtocolError when the learner or the run is not there, or
-    another live evaluator has the name.
+    another live evaluator has the name, and EnvironmentFailure when the closing comparison cannot be driven.
     """
     with ExitStack() as stack:
         joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)
@@ -90,6 +90,7 @@ class Evaluator(Onlooker):
         stack.enter_context(MetricsSubscriber(session, run, self._take_metrics))
         self._scored: PolicyUpdate | None = None
         self._scored_at = -float("inf")
+        self._environments_failed = 0
         self._last_scores: dict[str, float] = {}
         self._pulse_at = 0.0
 
@@ -120,6 +121,9 @@ class Evaluator(Onlooker):
             self._scoring.score_policy(update, stop=self._stop)
         except InvalidPolicy as error:
             log.warning("policy %d cannot be scored: %s", update.version, error)
+        except EnvironmentFailure as failure:
+            self._environments_failed += 1
+            log.warning("policy %d was not scored: %s", update.version, failure)
 
     def _compare(self, state: RunState) -> None:
         """Score the last policy and the reference drivers on the same episodes."""
@@ -153,8 +157,12 @@ class Evaluator(Onlooker):
         self._pulse_at = time.monotonic()
         scores = {f"last_{name}": value for name, value in self._last_scores.items()}
         version = 0 if self._scored is None else self._scored.version
-        values = {"episodes": self._scoring.episodes_done, "policy_version": version, **scores}
-        self._metrics.publish(values)
+        values = {
+            "episodes": self._scoring.episodes_done,
+            "policy_version": version,
+            "environments_failed": self._environments_failed,
+        }
+        self._metrics.publish({**values, **scores})
 
     def _take_metrics(self, report: MetricsReport) -> None:
         """Write down another service's metrics; called from the session's thread."""

@@ -58,7 +58,11 @@ class Scoring:
         self.episodes_done = 0
         self.files = EventFiles(folder.tensorboard)
         stack.callback(self.files.close)
-        self._batch = make_batch(run_file.environment, min(ENVIRONMENTS, self._settings.episodes))
+        self._batch = make_batch(
+            run_file.environment,
+            min(ENVIRONMENTS, self._settings.episodes),
+            run_file.actor.stall_seconds,
+        )
         stack.callback(self._batch.close)
 
     def score_policy(
@@ -68,6 +72,7 @@ class Scoring:
 
         Raises:
             InvalidPolicy: it cannot be run.
+            EnvironmentFailure: an environment raised or stalled; there are new ones for the next time.
             Stopped: `stop` was set before the last episode was over.
         """
         episodes = self._settings.episodes

@@ -5,8 +5,10 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from athrl_driving.policy import EnvironmentBatch, EnvironmentFailure
 from athrl_evaluator import run_evaluator
 from athrl_evaluator.recording_drawing import read_frames
 from athrl_protocol import Phase, subscribe_frames
@@ -180,3 +182,40 @@ def test_the_first_episode_is_shown_to_whoever_watches(learner, start: Start):
         assert several.wait(60)
     assert [frame.step for frame in frames[:3]] == [1, 2, 3]
     assert {(frame.policy_version, frame.episode_seed) for frame in frames} == {(5, 1_000_000)}
+
+
+def test_an_environment_that_raises_costs_that_evaluation_and_says_why(
+    learner, start: Start, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+):
+    step, calls = EnvironmentBatch.step, []
+
+    def fail_once(batch: EnvironmentBatch, *arguments: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 5:
+            raise ZeroDivisionError("a lane without length")
+        return step(batch, *arguments)
+
+    monkeypatch.setattr(EnvironmentBatch, "step", fail_once)
+    learner.publish(0)
+    service = start()
+    while "policy 0 was not scored: step raised ZeroDivisionError: a lane without length" not in caplog.text:
+        assert service.error is None
+    learner.publish(1)
+    assert learner.wait_for_result(1).scores["episodes"] > 0
+    assert not list((tmp_path / "test" / "recordings").glob("*.part"))
+
+
+def test_a_comparison_that_cannot_be_driven_ends_with_its_reason(
+    learner, start: Start, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    def fail(batch: EnvironmentBatch, *arguments: Any) -> Any:
+        raise ZeroDivisionError("a lane without length")
+
+    monkeypatch.setattr(EnvironmentBatch, "step", fail)
+    learner.publish(7)
+    learner.announce(Phase.FINISHED, 7)
+    service = start()
+    with pytest.raises(EnvironmentFailure, match="step raised ZeroDivisionError: a lane without length"):
+        service.join()
+    service.error = None
+    assert not (tmp_path / "test" / "evaluation.json").exists()
