@@ -18,11 +18,13 @@ from typing import NamedTuple
 import numpy as np
 import zenoh
 import zstandard
+from athrl_learner.segments import Kind, Record, SegmentReader, numbered_segments
 from athrl_protocol import ProtocolError, athrl_pb2, fetch_run_file, open_session
 from athrl_protocol.certificates import find_certificates
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import encode_message
 
+from tests.chaos.content import read_chunk
 from tests.chaos.cutter import HOST
 from tests.chaos.run import RUN, StormyRun
 
@@ -30,6 +32,8 @@ _ANSWER_SECONDS = 2.0
 _JOIN_SECONDS = 20.0
 _IDLE_CONNECTIONS = 20
 _MOST_SETTLING = 20
+_REPEATED = 0.2
+"""Known chunks for each malformed message."""
 _TLS_ALERT = b"\x15"
 _BOMB_BYTES = 60 * 2**20
 
@@ -46,6 +50,7 @@ class Flood:
         settled_answered: of those, the ones that were answered.
         accepted: that were acknowledged; must be none.
         unanswered: dropped on the link for their size, or asked while the learner was away.
+        repeated: chunks that the learner has, sent once more and acknowledged once more.
     """
 
     name: str
@@ -55,6 +60,7 @@ class Flood:
     settled_answered: int = 0
     accepted: int = 0
     unanswered: int = 0
+    repeated: int = 0
 
 
 class Malformed(NamedTuple):
@@ -66,14 +72,17 @@ class Malformed(NamedTuple):
 
 
 def flood(run: StormyRun, counts: Flood, seed: int, seconds: float) -> None:
-    """Send malformed messages for so long, and count what became of them."""
-    messages = malformed_messages(counts.name, random.Random(seed))
+    """Send malformed messages for so long, known ones among them, and count what became of them."""
+    chance = random.Random(seed)
+    messages, known = malformed_messages(counts.name, chance), _known_messages(run, chance)
     with contextlib.suppress(zenoh.ZError, ProtocolError), _as_actor(run) as session:
         # Who serves the run file takes chunks, too; before that nobody would be flooded.
         fetch_run_file(session, RUN, timeout=_JOIN_SECONDS)
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             _send(session, counts, next(messages))
+            if known and chance.random() < _REPEATED:
+                _repeat(session, counts, chance.choice(known))
         # Beyond what the link takes; last, because nobody answers it.
         _send(session, counts, Malformed(bytes(2**24), counts.name), timeout=0.5)
 
@@ -124,6 +133,24 @@ def _send(
             counts.settled_answered += message.settles
             answered = True
     counts.unanswered += not answered
+
+
+def _known_messages(run: StormyRun, chance: random.Random) -> list[bytes]:
+    """Return the chunks of one segment of the log, as they arrived."""
+    segments = list(numbered_segments(run.archive).items())
+    if not segments:
+        return []
+    number, path = chance.choice(segments)
+    items = SegmentReader(path, number, 0)
+    return [item.body for item in items if isinstance(item, Record) and item.kind == Kind.CHUNK]
+
+
+def _repeat(session: zenoh.Session, counts: Flood, message: bytes) -> None:
+    """Send what its actor was told is safe, as that actor would if it had not heard it."""
+    identity, _ = read_chunk(message)
+    key = Keys(RUN).experience(identity.actor)
+    for reply in session.get(key, payload=message, timeout=_ANSWER_SECONDS):
+        counts.repeated += reply.ok is not None
 
 
 def _is_refusal(payload: bytes) -> bool:

@@ -50,6 +50,7 @@ def reckon(run: StormyRun, seen: Observed) -> dict[str, Any]:
         "malformed_sent": sum(flood.sent for flood in floods),
         "malformed_refused": sum(flood.refused for flood in floods),
         "malformed_unanswered": sum(flood.unanswered for flood in floods),
+        "known_repeated": sum(flood.repeated for flood in floods),
         "strangers_turned_away": seen.faults.turned_away,
         "checkpoints_damaged": len(seen.faults.damaged),
         "ended_by_themselves": [ending._asdict() for ending in seen.endings],

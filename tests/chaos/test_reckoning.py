@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import random
 import socket
 import sys
 import threading
@@ -17,11 +19,12 @@ sys.path.insert(0, str(Path(__file__).parents[2]))  # tests is no installed pack
 
 import numpy as np
 from athrl_learner.segments import Kind, SegmentLog
-from athrl_protocol import Chunk, LevelColumns, encode_chunk
+from athrl_protocol import Chunk, InvalidMessage, LevelColumns, decode_chunk, encode_chunk
 
 from tests.chaos.content import read_chunk
 from tests.chaos.cutter import HOST, Cutter, Link
 from tests.chaos.evidence import Evidence
+from tests.chaos.flood import malformed_messages
 from tests.chaos.outages import Outage, longest_stall
 from tests.chaos.reckoning import Account, compare, read_log
 from tests.chaos.schedule import Fault, Group
@@ -169,3 +172,15 @@ def test_cut_link_ends_connections_and_refuses_new_ones(linked) -> None:
         service.recv(10)
     with socket.create_connection((HOST, link.port), timeout=20.0) as again, contextlib.suppress(OSError):
         assert again.recv(10) == b""
+
+
+def test_flood_is_made_of_what_has_to_be_refused() -> None:
+    messages = list(itertools.islice(malformed_messages("flood-1", random.Random(3)), 300))
+    assert sum(message.settles for message in messages) == 20
+    assert len({message.sender for message in messages}) == 21
+    for message in messages:
+        if message.settles:
+            assert decode_chunk(message.payload).actor == message.sender
+        else:
+            with pytest.raises(InvalidMessage):
+                decode_chunk(message.payload)

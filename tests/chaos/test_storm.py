@@ -47,6 +47,7 @@ def test_nothing_is_lost_or_taken_twice_in_a_storm(command, tmp_path: Path) -> N
     assert report["acknowledged"] > 200
     assert (report["lost"], report["twice"]) == (0, 0)
     assert report["malformed_refused"] > 50
+    assert report["known_repeated"] > 0
     assert report["longest_stall_s"] > 0.0
     assert not command.left()
 
