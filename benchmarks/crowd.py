@@ -11,7 +11,6 @@ import argparse
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -41,6 +40,7 @@ from athrl_protocol import (
 )
 
 from benchmarks.light_crowd import RUN, STEPS, resident_mebibytes
+from benchmarks.router import free_address
 
 _PATIENCE = 60.0
 
@@ -127,9 +127,7 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
     store = make_experience(
         run_file, translation.make_agent(run_file), arrivals, translation.make_log(run_file, folder)
     )
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    address = free_address()
     with (
         contextlib.closing(store.log),
         open_session(listen=address, timeout=_PATIENCE) as session,

@@ -11,7 +11,6 @@ import argparse
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -24,9 +23,10 @@ from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.parts import make_experience
 from athrl_learner.store import ExperienceStore
-from athrl_protocol import ChunkIntake, RunFile, open_session, read_run_file
+from athrl_protocol import ChunkIntake, RunFile, open_session, read_run_file, serve_run_file
 
 from benchmarks.light_actor import RUN, STEPS
+from benchmarks.router import KINDS, free_address, standing_before
 
 _PATIENCE = 60.0
 _FILLED_WITHIN = 120.0
@@ -54,18 +54,18 @@ def light_actors(address: str, count: int) -> Iterator[list[dict[str, Any]]]:
             actor.wait(_PATIENCE)
 
 
-def rate(run_file: RunFile, actors: int, seconds: float, folder: Path) -> dict[str, float]:
+def rate(run_file: RunFile, actors: int, seconds: float, folder: Path, through: str) -> dict[str, float]:
     """Transitions a second that are taken in, and what they cost the learner and the actors."""
     store = make_experience(
         run_file, translation.make_agent(run_file), Arrivals(), translation.make_log(run_file, folder)
     )
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    listen = free_address()
     with (
         contextlib.closing(store.log),
-        open_session(listen=address, timeout=_PATIENCE) as session,
+        open_session(listen=listen, timeout=_PATIENCE) as session,
+        serve_run_file(session, run_file),
         ChunkIntake(session, RUN, store) as intake,
+        standing_before(listen, through, RUN) as address,
     ):
         with light_actors(address, actors) as reports:
             # The replay's memory is touched for the first time until it is full, which costs more.
@@ -105,11 +105,13 @@ def main() -> None:
     parser.add_argument("--actors", type=int, nargs="+", default=[1, 4, 16])
     parser.add_argument("--seconds", type=float, default=10.0, help="for each number of actors")
     parser.add_argument("--fsync", choices=["never", "acknowledgement", "interval"], default="interval")
+    parser.add_argument("--through", choices=KINDS, default="nothing", help="stands before the learner")
     parser.add_argument("--folder", type=Path, help="where the log is written; by default a temporary one")
     arguments = parser.parse_args()
     run_file = read_run_file(
         None,
         [
+            f"run.name={RUN}",
             f"replay.sequence_length={STEPS}",
             "learner.samples_per_insert=0.001",
             "run.environment_steps=1000000000",
@@ -120,14 +122,15 @@ def main() -> None:
     rows = []
     for actors in arguments.actors:
         with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
-            row = rate(run_file, actors, arguments.seconds, Path(folder) / "experience")
+            row = rate(run_file, actors, arguments.seconds, Path(folder) / "experience", arguments.through)
         rows.append({name: round(value, 2) for name, value in row.items()})
         print(
             f"{actors:3d} actors: {row['transitions_per_second']:9,.0f} transitions/s, "
             f"the learner takes {row['learner_cores']:.2f} cores; a transition costs it "
             f"{row['learner_microseconds']:.1f} us of a core, an actor {row['actors_microseconds']:.1f} us"
         )
-    print(json.dumps({"cores": os.cpu_count(), "fsync": arguments.fsync, "rows": rows}))
+    facts = {"cores": os.cpu_count(), "load": os.getloadavg()[0], "fsync": arguments.fsync}
+    print(json.dumps({**facts, "through": arguments.through, "rows": rows}))
 
 
 if __name__ == "__main__":
