@@ -18,6 +18,7 @@ from athrl_learner import CannotResume, translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.checkpoint import newest_intact_checkpoint
 from athrl_learner.parts import make_experience
+from athrl_learner.segments import numbered_segments
 from athrl_learner.snapshot import restore_snapshot
 from athrl_protocol.run_file import RunFile, read_run_file
 
@@ -204,7 +205,11 @@ def test_killed_run_repeats_itself(command, runs: Path) -> None:
     interrupt(command, runs, "killed", signal.SIGKILL, when=lambda: begun.exists())
     assert written() == 0
     interrupt(command, runs, "killed", signal.SIGKILL, when=lambda: updates(folder) >= 30)
-    assert 0 < written() < updates(folder)  # what came after the checkpoint is there, and will be cut off
+    assert 0 < written() < updates(folder)  # what came after the checkpoint is there
+    assert not drive(runs, "killed", resume=True, stop_at=1)  # at once, so nothing comes instead
+    assert updates(folder) == written()
+    newest = newest_intact_checkpoint(folder / "checkpoints")[1]
+    assert max(numbered_segments(folder / "experience")) < newest.log.next_segment
     assert drive(runs, "killed", resume=True)
     require_same_run(runs, "killed")
 
