@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from athrl_driving.compilation import cache_folder
-
 
 def is_compiled() -> bool:
     """Return whether machine code of the simulation as it is now is kept."""
+    from athrl_driving.compilation import cache_folder
+
     return any(Path(cache_folder()).rglob("*.nbi"))
