@@ -12,6 +12,8 @@ pytestmark = pytest.mark.timeout(300)
 ROUNDS = 10
 DRAIN_SECONDS = 100.0
 """A machine at work with other things takes half a minute for an import alone."""
+STOPPED = {0, 128 + signal.SIGTERM, -signal.SIGTERM}
+"""Exit codes of a service that got two signals: drained before the second, ended by it, or about to leave."""
 BEFORE_THE_START = {-signal.SIGINT, -signal.SIGTERM, 130}
 """Exit codes of a Python that is told to stop before it has loaded the command."""
 
@@ -60,18 +62,18 @@ def test_second_signal_stops_each_service_at_once(command, eventually, tiny: lis
         command.start("evaluator", "--connect", router, "--run", "order", "--folder", "runs"),
     ]
     look = ["status", "--connect", learner, "--run", "order", "--check"]
-    for service in (["actor", "--name", "one"], ["evaluator"]):
-        eventually(lambda service=service: command.run(*look, *service, seconds=60).returncode == 0, 200)
+    for service in ("actor/one", "evaluator"):
+        eventually(lambda service=service: command.run(*look, service, seconds=60).returncode == 0, 200)
     processes[0].send_signal(signal.SIGSTOP)
     for number in range(2):
         for process in processes[1:]:
             process.send_signal(signal.SIGTERM)
         time.sleep(0.1 + number)
     for process in processes[1:]:
-        assert process.wait(timeout=DRAIN_SECONDS) in {0, 128 + signal.SIGTERM}, command.said(process)
+        assert process.wait(timeout=DRAIN_SECONDS) in STOPPED, command.said(process)
     processes[0].send_signal(signal.SIGCONT)
     for _ in range(2):
         processes[0].send_signal(signal.SIGTERM)
         time.sleep(0.05)
-    assert processes[0].wait(timeout=DRAIN_SECONDS) in {0, 128 + signal.SIGTERM}
+    assert processes[0].wait(timeout=DRAIN_SECONDS) in STOPPED
     assert not command.left()
