@@ -1,0 +1,85 @@
+"""What the package's page says can be done as it stands there."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import onnx
+import onnx.parser
+import pytest
+from athrl_driving.envs.settings import DEFAULTS
+from athrl_driving.metrics import new_metrics, summary
+from athrl_driving.reward import REWARD_TERMS
+
+PAGE = (Path(__file__).parents[1] / "README.md").read_text()
+SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+QUICK = [snippet for snippet in SNIPPETS if "stable_baselines3" not in snippet]
+"""The other one trains for long; test_stable_baselines.py does the same with fewer steps."""
+
+GRAPH = """
+<ir_version: 8, opset_import: ["" : 17]>
+policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,1] plan_state)
+    => (float[N,2] plan, float[N,1] next_plan_state)
+{
+    plan = Identity (motion)
+    next_plan_state = Identity (plan_state)
+}
+"""
+
+
+def write_policy(path: Path) -> None:
+    """Write a policy of one level that decides what `motion` is."""
+    noise = {"noise": "gaussian", "noise_scale": 0.1, "damping": 0}
+    actions = [
+        {"name": "target_speed", "unit": "m/s", "low": 0, "high": 7.95} | noise,
+        {"name": "waypoint_angle", "unit": "rad", "low": -math.pi / 6, "high": math.pi / 6} | noise,
+    ]
+    metadata = {
+        "schema_version": 1,
+        "planner": "test",
+        "observation": {"image": [32, 32, 4], "motion": ["speed_over_8", "steering_over_0.3"]},
+        "levels": [{"name": "plan", "state_size": 1, "actions": actions}],
+    }
+    model = onnx.parser.parse_model(GRAPH)
+    onnx.helper.set_model_props(model, {"athrl": json.dumps(metadata)})
+    path.write_bytes(model.SerializeToString())
+
+
+def names_in_table(heading: str) -> list[str]:
+    """Return the names in the first column of the table whose head is `heading`."""
+    rows = PAGE.partition(f"| {heading} |")[2].partition("\n\n")[0].splitlines()[2:]
+    return [name for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
+
+
+@pytest.mark.parametrize("snippet", QUICK, ids=range(len(QUICK)))
+def test_snippet_runs(snippet: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_policy(tmp_path / "policy.onnx")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    exec(compile(snippet, "README.md", "exec"), {})
+
+
+def test_snippets_are_found() -> None:
+    assert len(QUICK) == len(SNIPPETS) - 1 == 7
+
+
+def test_table_of_settings_is_whole_and_has_the_defaults() -> None:
+    names = names_in_table("setting")
+    assert sorted(names) == sorted(set(DEFAULTS) - {"observation", "action"})
+    for row in re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", PAGE, re.MULTILINE):
+        assert float(row[1]) == DEFAULTS[row[0]], row[0]
+
+
+def test_table_of_reward_terms_is_whole() -> None:
+    assert names_in_table('`info["reward_terms"]`') == list(REWARD_TERMS)
+
+
+def test_table_of_metrics_is_whole() -> None:
+    names = names_in_table('`info["metrics"]`')
+    told = {f"comfort{name}" if name.startswith("_") else name for name in names}
+    state = new_metrics(1)
+    state.goal[:] = 1.0
+    assert told == set(summary(state, 0, truncated=False))
