@@ -145,9 +145,9 @@ def draw_scene(env: TownEnv, axes: Axes, red: bool) -> None:
     columns = (others.x, others.y, others.heading, others.length, others.width)
     for vehicle in zip(*columns, strict=True):
         axes.add_patch(Polygon(in_frame(env, body(*vehicle)), color=_OTHER))
-    axes.add_patch(
-        Polygon(in_frame(env, body(*ego.position, ego.heading, ego.LENGTH, ego.WIDTH)), color=_EGO)
-    )
+    x, y = ego.position.tolist()
+    corners = body(x, y, ego.heading, ego.LENGTH, ego.WIDTH)
+    axes.add_patch(Polygon(in_frame(env, corners), color=_EGO))
     if red:
         ahead = 0.5 * ego.LENGTH + env.road.ego_stop_line()
         axes.plot([-1.75, 1.75], [ahead, ahead], color=_STOP, linewidth=3)
