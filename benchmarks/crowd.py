@@ -3,6 +3,7 @@
 Each actor has a Zenoh session, a presence, metrics and an uploader of its own, and joins the run as any actor
 does; it only drives nothing, and takes no policies. Some hundred share a process. The learner's side is its
 intake, log and replay, its watch over who is there, and state and metrics once a second, without training.
+The actors' metrics are heard by a process of its own, as an evaluator or a viewer hears them.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,6 @@ from athrl_learner.store import ExperienceStore
 from athrl_protocol import (
     ChunkIntake,
     MetricsPublisher,
-    MetricsSubscriber,
     Phase,
     PresenceWatcher,
     RunFile,
@@ -88,26 +88,39 @@ class Crowd:
 
 
 @contextlib.contextmanager
+def listener(address: str) -> Iterator[Callable[[], int]]:
+    """A process that hears all metrics; gives a function that tells how many actors it has heard."""
+    command = [sys.executable, "-m", "benchmarks.light_listener", address]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        if process.stdout.readline() != b"ready\n":
+            sys.exit("the listener could not be started")
+
+        def actors_heard() -> int:
+            process.stdin.write(b"\n")
+            process.stdin.flush()
+            return int(process.stdout.readline())
+
+        yield actors_heard
+
+
+@contextlib.contextmanager
 def news(session: Any, run_file: RunFile, store: ExperienceStore, arrivals: Arrivals) -> Iterator[Any]:
-    """What a learner says and hears beside the chunks; gives a function that reports once."""
-    heard: dict[str, float] = {}
+    """What a learner says beside the chunks; gives a function that reports once."""
     with (
         serve_run_file(session, run_file),
         announce_presence(session, RUN, "learner", "learner"),
         PresenceWatcher(session, RUN) as presence,
         StatePublisher(session, RUN) as state,
         MetricsPublisher(session, RUN, "learner", "learner") as metrics,
-        MetricsSubscriber(session, RUN, lambda report: heard.__setitem__(report.name, report.time)),
     ):
 
-        def report() -> tuple[int, int]:
-            """Say how things stand; how many actors are present, and how many report metrics."""
+        def report() -> int:
+            """Say how things stand; how many actors are present."""
             with store.held():
                 values = arrivals.metrics()
             state.publish(RunState(Phase.TRAINING, store.environment_steps, 10**9, 0, 0, ""))
             metrics.publish(values)
-            present = sum(role == "actor" for role, _ in presence.present())
-            return present, sum(name.startswith("actor-") for name in heard)
+            return sum(role == "actor" for role, _ in presence.present())
 
         yield report
 
@@ -133,6 +146,7 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
         open_session(listen=address, timeout=_PATIENCE) as session,
         news(session, run_file, store, arrivals) as report,
         ChunkIntake(session, RUN, store) as intake,
+        listener(address) as actors_heard,
     ):
         began, memory_alone = time.monotonic(), resident_mebibytes()
         crowd = Crowd(address, arguments.actors, arguments.processes, arguments.transitions)
@@ -144,11 +158,12 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
             began, busy = time.monotonic(), time.process_time()
             heard = wait_until_all_are_heard(intake, arguments.actors)
             until = began + max(arguments.seconds, heard + 5)
-            present = reporting = 0
+            present = 0
             while time.monotonic() < until:
                 time.sleep(1.0)
-                present, reporting = report()
+                present = report()
             elapsed, busy = time.monotonic() - began, time.process_time() - busy
+            reporting = actors_heard()
             taken, memory = store.environment_steps, resident_mebibytes()
             reports = crowd.end()
         stored = intake.statistics().stored
@@ -191,7 +206,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--actors", type=int, default=1000)
-    parser.add_argument("--processes", type=int, default=8)
+    parser.add_argument("--processes", type=int, default=20)
     parser.add_argument("--transitions", type=float, default=5000, help="a second, of all actors together")
     parser.add_argument("--seconds", type=float, default=20.0)
     arguments = parser.parse_args()

@@ -29,6 +29,8 @@ from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, Pr
 from athrl_protocol.handshake import why_not_admitted
 from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, largest_message, size_filter
 
+# At one learner or router; who comes after them is told that nobody answers there.
+MOST_CONNECTIONS = 10_000
 # A silent peer is given up after this time; a killed one at once, by its closed connection.
 LEASE_MILLISECONDS = 5_000
 RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
@@ -127,6 +129,8 @@ def _configuration(mode: str, shown: Certificates | None, settings: dict[str, An
         "scouting/delay": 0,  # a router would wait that long for what scouting finds
         "transport/link/tx/lease": LEASE_MILLISECONDS,
         "transport/unicast/open_timeout": OPEN_MILLISECONDS,
+        # Zenoh's own bound is 1,000, which a thousand actors and an evaluator exceed.
+        "transport/unicast/max_sessions": MOST_CONNECTIONS,
         # It would pass by the encryption, and take 16 MiB for each connection: 16 GiB of a learner of a
         # thousand actors. It saves a chunk nothing that could be measured.
         "transport/shared_memory/enabled": False,
