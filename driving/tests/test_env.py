@@ -79,6 +79,39 @@ def test_a_decision_holds_for_four_ticks_and_is_counted_once() -> None:
         assert env.scene().time == pytest.approx(0.4 * decision)
 
 
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        ([np.nan, 0.0], r"the action is \[nan, 0.0\], it should be finite numbers"),
+        ([0.0, np.inf], "it should be finite numbers"),
+        ([0.0], r"the action has shape \(1,\), it should be \(2,\)"),
+        ([[0.0, 0.0]], r"the action has shape \(1, 2\), it should be \(2,\)"),
+        ("left", "the action is 'left', it should be float32"),
+    ],
+)
+def test_an_action_that_is_none_is_refused_before_anything_moves(action: object, message: str) -> None:
+    env, untouched = new_env(), new_env()
+    env.reset(seed=3)
+    untouched.reset(seed=3)
+    with pytest.raises(ValueError, match=message):
+        env.step(action)
+    after, reward, *_ = env.step(STRAIGHT_SLOWLY)
+    expected, expected_reward, *_ = untouched.step(STRAIGHT_SLOWLY)
+    assert env.time == untouched.time
+    assert reward == expected_reward
+    np.testing.assert_array_equal(after["image"], expected["image"])
+    np.testing.assert_array_equal(after["motion"], expected["motion"])
+
+
+def test_an_action_beyond_the_bounds_is_the_bound() -> None:
+    beyond, bound = new_env(), new_env()
+    beyond.reset(seed=3)
+    bound.reset(seed=3)
+    for _ in range(5):
+        motion = beyond.step(np.array([7.0, -9.0]))[0]["motion"]
+        np.testing.assert_array_equal(motion, bound.step(np.array([1.0, -1.0]))[0]["motion"])
+
+
 def test_rewards_of_the_ticks_are_summed() -> None:
     by_decision, by_tick = new_env(), new_env(ticks_per_decision=1)
     by_decision.reset(seed=3)

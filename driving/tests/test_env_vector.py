@@ -170,6 +170,10 @@ def test_an_ended_episode_waits_for_its_reset() -> None:
             r"the actions have shape \(2, 2\), it should be \(5, 2\)",
         ),
         (
+            lambda: new_vector().step(np.array([[0, 0], [0, 0], [0, np.nan], [0, 0], [0, 0]])),
+            r"the action of environments \[2\] is \[0.0, nan\]",
+        ),
+        (
             lambda: new_vector().reset(options={"reset_mask": np.zeros(COUNT, bool)}),
             "reset_mask names no environment",
         ),

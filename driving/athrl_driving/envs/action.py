@@ -11,6 +11,7 @@ from highway_env.envs.common.action import ActionType
 from numpy.typing import NDArray
 
 from ..episode.drive import take_decision
+from ..errors import DrivingError
 from .ego_vehicle import EgoVehicle
 from .settings import drive_settings
 
@@ -47,3 +48,25 @@ class WaypointAction(ActionType):
         """Hand the decision to the ego."""
         ego: EgoVehicle = self.controlled_vehicle
         take_decision(self.settings, *ego.arrays, np.asarray(action, np.float32))
+
+
+def checked_actions(actions: NDArray[np.floating], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return decisions as float32 of `shape`, contiguous; one beyond [-1, 1] is taken as the nearest bound.
+
+    Raises DrivingError for another shape, for what is no array of numbers, and for NaN and infinity, which
+    would spread through motion, reward and every later observation.
+    """
+    try:
+        checked = np.ascontiguousarray(actions, dtype=np.float32)
+    except (TypeError, ValueError):
+        raise DrivingError(f"the action is {actions!r}, it should be float32 {list(shape)}") from None
+    if checked.shape != shape:
+        what = "action has" if len(shape) == 1 else "actions have"
+        raise DrivingError(f"the {what} shape {checked.shape}, it should be {shape}")
+    finite = np.isfinite(checked)
+    if not finite.all():
+        rows = np.flatnonzero(~finite.reshape(-1, shape[-1]).all(axis=1)).tolist()
+        where = f" of environments {rows}" if len(shape) > 1 else ""
+        wrong = checked.reshape(-1, shape[-1])[rows[0]].tolist()
+        raise DrivingError(f"the action{where} is {wrong}, it should be finite numbers in [-1, 1]")
+    return checked

@@ -15,7 +15,7 @@ from ..maps import Town
 from ..reward import REWARD_TERMS
 from ..route import Route
 from ..scene import Scene
-from .action import WaypointAction
+from .action import WaypointAction, checked_actions
 from .observation import BirdEyeObservation
 from .row import TownRow
 from .settings import DEFAULTS, changed_settings, first_settings, new_episodes, town_of
@@ -126,6 +126,13 @@ class TownEnv(AbstractEnv):
         self.episodes.work(work, actions)
         self.steps = int(self.episodes.state.progress.ticks[0])
         self.time = self.steps / self.config["simulation_frequency"]
+
+    def step(self, action: NDArray[np.floating] | None) -> tuple[dict, float, bool, bool, dict[str, Any]]:
+        """Make one decision, float32 [2] within [-1, 1]; without one, the last one holds on.
+
+        Raises DrivingError for an action that is not two finite numbers, before anything moves.
+        """
+        return super().step(None if action is None else checked_actions(action, (2,)))
 
     def _simulate(self, action: NDArray[np.floating] | None = None) -> None:
         """Let a decision hold for its ticks or until the episode ends; without one the last one holds on."""

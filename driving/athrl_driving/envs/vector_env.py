@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..episode import DECIDE
 from ..scene import Scene
-from .action import WaypointAction
+from .action import WaypointAction, checked_actions
 from .observation import observation_space
 from .row import TownRow
 from .settings import changed_settings, first_settings, new_episodes, town_of
@@ -89,7 +89,8 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Make one decision in every environment; `actions` is float32 [num_envs, 2] within [-1, 1].
 
-        Raises ResetNeeded where an episode has not begun, or has ended and nothing resets it.
+        Raises DrivingError for actions that are no finite numbers of this shape, before anything moves, and
+        ResetNeeded where an episode has not begun, or has ended and nothing resets it.
         """
         actions = self._checked(actions)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
@@ -200,10 +201,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         return infos
 
     def _checked(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
-        checked = np.ascontiguousarray(actions, dtype=np.float32)
-        if checked.shape != (self.num_envs, 2):
-            raise ValueError(f"the actions have shape {checked.shape}, it should be ({self.num_envs}, 2)")
-        return checked
+        return checked_actions(actions, (self.num_envs, 2))
 
     def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         mask = (options or {}).get("reset_mask")
