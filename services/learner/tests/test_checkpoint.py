@@ -16,6 +16,7 @@ from athrl_learner.checkpoint import (
     remove_unneeded,
     write_checkpoint,
 )
+from athrl_learner.checkpoint.content import manifest_checksum
 from athrl_learner.checkpointing import Checkpointer
 from athrl_learner.errors import CannotResume, CheckpointFailed, DamagedCheckpoint
 from athrl_learner.segments import Kind, LogPosition, SegmentFacts, SegmentLog, numbered_segments
@@ -144,9 +145,25 @@ class Threat:
 def test_another_format_is_refused_by_number(tmp_path):
     path = write_checkpoint(tmp_path, content())
     manifest = json.loads((path / "manifest.json").read_text())
-    (path / "manifest.json").write_text(json.dumps({**manifest, "format": 99}))
+    manifest["format"] = 99
+    manifest["sha256"] = manifest_checksum(manifest)
+    (path / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(CannotResume, match="format 99"):
         newest_intact_checkpoint(tmp_path)
+
+
+def test_no_flipped_bit_of_a_manifest_passes_or_stops_the_run(tmp_path):
+    older = write_checkpoint(tmp_path, content(1))
+    file = write_checkpoint(tmp_path, content(2)) / "manifest.json"
+    stored = file.read_bytes()
+    meant = json.loads(stored)
+    for position in range(len(stored)):
+        for bit in range(8):
+            flipped = bytearray(stored)
+            flipped[position] ^= 1 << bit
+            file.write_bytes(flipped)
+            path, _ = newest_intact_checkpoint(tmp_path)
+            assert path == older or json.loads(flipped) == meant, (position, bit)
 
 
 def test_a_manifest_with_another_number_is_damaged(tmp_path):

@@ -98,11 +98,11 @@ def read_manifest(checkpoint: Path) -> Manifest:
     path = checkpoint / MANIFEST
     try:
         values = json.loads(path.read_bytes())
-        version = values["format"]
-        if version != FORMAT:
-            raise CannotResume(f"{checkpoint} has checkpoint format {version}, this learner reads {FORMAT}")
         if values["sha256"] != manifest_checksum(values):
             raise ValueError("altered")
+        version = values["format"]  # after the checksum: a flipped bit makes no other release of it
+        if version != FORMAT:
+            raise CannotResume(f"{checkpoint} has checkpoint format {version}, this learner reads {FORMAT}")
         manifest = Manifest(
             int(values["policy_version"]), dict(values["files"]), LogPosition.from_json(values["log"])
         )
