@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from athrl_planners.adam import Adam
 from athrl_planners.networks import Actor, Critic, Trunk
 from athrl_planners.settings import ActionRange, ObservationSettings, PlannerSettings
 
@@ -59,8 +60,8 @@ class Level:
         self.half_range = torch.tensor([action.half_range for action in actions], device=device)
         self.critic_parameters = [*self.online.trunk.parameters(), *self.online.critics.parameters()]
         self.actor_parameters = list(self.online.actor.parameters())
-        self._critic_optimiser = torch.optim.Adam(self.critic_parameters, settings.learning_rate, fused=True)
-        self._actor_optimiser = torch.optim.Adam(self.actor_parameters, settings.learning_rate, fused=True)
+        self._critic_optimiser = Adam(self.critic_parameters, settings.learning_rate)
+        self._actor_optimiser = Adam(self.actor_parameters, settings.learning_rate)
 
     def normalise(self, actions: Tensor) -> Tensor:
         """Physical units -> [-1, 1]."""
@@ -90,7 +91,7 @@ class Level:
         for name, part in self._parts().items():
             part.load_state_dict(state[name])
 
-    def _parts(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
+    def _parts(self) -> dict[str, nn.Module | Adam]:
         return {
             "online": self.online,
             "target": self.target,
@@ -101,10 +102,9 @@ class Level:
         }
 
 
-def _step(optimiser: torch.optim.Optimizer, parameters: Iterable[Tensor], norm: float) -> float:
+def _step(optimiser: Adam, parameters: Iterable[Tensor], norm: float) -> float:
     total = torch.nn.utils.clip_grad_norm_(parameters, norm)
     optimiser.step()
-    optimiser.zero_grad(set_to_none=True)
     return float(total)
 
 
