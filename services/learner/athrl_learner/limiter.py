@@ -11,11 +11,19 @@ it above waits (the learner lags), a sample that would push it below waits (the 
 
 The bound is never smaller than one insert and one sample together, which is why at least one side may
 always go on: were both refused, the band would have to be narrower than one insert plus one sample.
+
+A learner that was killed takes in again what came after its newest checkpoint, and owes all training on it.
+Were the bound to hold at once, the actors would stand still until that is made up for, minutes perhaps. So
+what is owed beyond the bound then is arrears: the bound is wider by so much, and of what is trained half pays
+them off while the other half is for what comes in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+
+#: Of the samples that are taken while there are arrears.
+_FOR_ARREARS = 0.5
 
 
 class SamplesPerInsert:
@@ -53,6 +61,7 @@ class SamplesPerInsert:
         self.error_bound = max(tolerance * ratio * minimum_inserts, ratio * largest_insert + largest_sample)
         self.inserts = 0
         self.samples = 0
+        self.arrears = 0.0  # samples owed since before a restart, by which the surplus may be above its bound
         self.closed = False
 
     @property
@@ -72,7 +81,7 @@ class SamplesPerInsert:
 
     def permits_insert(self, count: int) -> bool:
         """Whether `count` more transitions may be inserted now."""
-        return not self.closed and self.surplus + self.ratio * count <= self.error_bound
+        return not self.closed and self.surplus + self.ratio * count <= self.error_bound + self.arrears
 
     def permits_sample(self, count: int) -> bool:
         """Whether `count` more transitions may be sampled now.
@@ -93,6 +102,11 @@ class SamplesPerInsert:
     def sampled(self, count: int) -> None:
         """Count `count` sampled transitions."""
         self.samples += count
+        self.arrears = max(0.0, self.arrears - _FOR_ARREARS * count)
+
+    def go_on(self) -> None:
+        """All that came before is counted: what is owed beyond the bound is paid off little by little."""
+        self.arrears = max(0.0, self.surplus - self.error_bound)
 
     def close(self) -> None:
         """No more inserts will come; sampling may go on until nothing is owed."""

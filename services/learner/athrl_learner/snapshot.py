@@ -101,6 +101,7 @@ def restore_snapshot(
             store.restore(int(state["environment_steps"]))
         recovery = Recovery(store, ledger, content.log if content is not None else None)
         recovery.run(state["replay"] if content is not None else None, after_the_checkpoint)
+        store.limiter.go_on()
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 200)  # torch names every tensor
         raise CannotResume(

@@ -113,6 +113,52 @@ def test_the_limiter_says_who_waits_for_whom():
     assert limiter.explain() == ""
 
 
+def in_arrears(inserts: int) -> SamplesPerInsert:
+    """A limiter of a learner that has taken so many transitions in again, which nobody has trained on."""
+    limiter = small_limiter(ratio=32.0, largest_sample=160)
+    limiter.inserted(inserts)
+    limiter.go_on()
+    return limiter
+
+
+def test_arrears_of_a_restart_do_not_keep_actors_waiting():
+    limiter = in_arrears(5000)
+    owed = limiter.surplus
+    inserted = 0
+    for _ in range(200):  # an update each
+        limiter.sampled(160)
+        while limiter.permits_insert(10):
+            limiter.inserted(10)
+            inserted += 10
+    assert inserted == pytest.approx(200 * 160 / 32 / 2, rel=0.1)  # half as fast as without arrears
+    assert limiter.surplus == pytest.approx(owed - 200 * 160 / 2, rel=0.1)
+
+
+def test_arrears_are_paid_off_and_do_not_come_back():
+    limiter = in_arrears(5000)
+    while limiter.arrears:
+        limiter.sampled(160)
+        while limiter.permits_insert(10):
+            limiter.inserted(10)
+    for _ in range(1000):
+        limiter.sampled(160)
+        while limiter.permits_insert(10):
+            limiter.inserted(10)
+        assert limiter.surplus <= limiter.error_bound
+
+
+@given(limiters, st.integers(0, 50_000), requests)
+def test_one_side_may_always_go_on_in_arrears_too(limiter, inserts, steps):
+    limiter.inserted(inserts)
+    limiter.go_on()
+    for insert, share in steps:
+        take_a_step(limiter, insert, share)
+        assert limiter.permits_insert(limiter.largest_insert) or limiter.permits_sample(
+            limiter.largest_sample
+        )
+        assert limiter.surplus <= limiter.error_bound + limiter.arrears + 1e-6 * abs(limiter.surplus)
+
+
 @pytest.mark.parametrize(
     "state", [{}, {"inserts": 3}, {"inserts": -1, "samples": 0}, {"inserts": 1.5, "samples": 0}]
 )

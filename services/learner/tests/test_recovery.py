@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from athrl_learner.checkpoint import CheckpointContent
 from athrl_learner.files import Files
 from athrl_learner.parts import make_experience
 from athrl_learner.segments import numbered_segments
+from athrl_learner.segments.facts import SEGMENT_HEADER_BYTES
 from athrl_learner.snapshot import Restored, restore_snapshot, take_snapshot
 from athrl_protocol import Chunk, RunFile, encode_chunk, read_run_file
 from athrl_protocol.ledger import Ledger
@@ -29,10 +31,16 @@ TIME = 5
 class SmallLearner:
     """A learner without network and planner's training: takes chunks in, takes snapshots, comes back."""
 
-    def __init__(self, run_file: RunFile, folder: Path, content: CheckpointContent | None = None) -> None:
+    def __init__(
+        self,
+        run_file: RunFile,
+        folder: Path,
+        content: CheckpointContent | None = None,
+        samples_per_insert: float = 0.001,
+    ) -> None:
         replay = run_file.replay.model_copy(update={"capacity": SLOTS * TIME})
         run = run_file.run.model_copy(update={"environment_steps": 10**6})
-        learner = run_file.learner.model_copy(update={"samples_per_insert": 0.001})
+        learner = run_file.learner.model_copy(update={"samples_per_insert": samples_per_insert})
         self.run_file = run_file.model_copy(update={"replay": replay, "run": run, "learner": learner})
         self.agent = translation.make_agent(self.run_file)
         log = translation.make_log(self.run_file, folder)
@@ -218,6 +226,52 @@ def test_a_damaged_record_of_the_replay_is_left_out_and_no_empty_place_is_drawn(
     assert back.totals() == learner.totals()
     assert back.store.environment_steps == learner.store.environment_steps
     assert "a record is damaged" in caplog.text
+
+
+@pytest.mark.parametrize("place", ["in the replay", "behind the checkpoint"])
+def test_no_flipped_bit_of_a_segments_header_stops_a_run_or_costs_a_record(
+    run_file, make_chunk, tmp_path, caplog, place
+):
+    learner, content = damaged_life(run_file, make_chunk, tmp_path)
+    following = content.log.next_segment
+    number = following if place == "behind the checkpoint" else following - 1
+    path = numbered_segments(tmp_path)[number]
+    intact = path.read_bytes()
+    for bit in range(8 * SEGMENT_HEADER_BYTES):
+        damaged = bytearray(intact)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        caplog.clear()
+        back = SmallLearner(learner.run_file, tmp_path, content)
+        assert back.facts() == learner.facts(), bit
+        assert back.restored.damaged == 0, bit
+        assert str(path) in caplog.text, bit
+
+
+def test_a_segment_of_another_format_is_refused(run_file, make_chunk, tmp_path):
+    learner, content = damaged_life(run_file, make_chunk, tmp_path)
+    path = segment_files(tmp_path)[-1]
+    changed = bytearray(path.read_bytes())
+    fields = changed[: SEGMENT_HEADER_BYTES - 4]
+    fields[8] += 1  # the format's lowest byte
+    changed[:SEGMENT_HEADER_BYTES] = fields + zlib.crc32(fields).to_bytes(4, "little")
+    path.write_bytes(changed)
+    with pytest.raises(CannotResume, match="segment format 2"):
+        SmallLearner(learner.run_file, tmp_path, content)
+
+
+def test_actors_need_not_wait_until_what_came_after_the_checkpoint_is_trained_on(
+    run_file, make_chunk, tmp_path
+):
+    learner = SmallLearner(run_file, tmp_path)
+    content = learner.snapshot()
+    for sequence in range(60):
+        learner.take_in(marked(make_chunk, sequence))
+    back = SmallLearner(run_file, tmp_path, content, samples_per_insert=32.0)
+    assert back.store.limiter.surplus > 5 * back.store.limiter.error_bound
+    for _ in range(16):  # updates; they are owed three hundred
+        assert back.store.sample(4, timeout=0) is not None
+    back.take_in(marked(make_chunk, 60))
 
 
 def test_a_missing_segment_is_named_and_counted(run_file, make_chunk, tmp_path, caplog):
