@@ -44,6 +44,19 @@ def test_dead_service_is_started_again_with_its_restart_arguments(tmp_path: Path
     assert "one ended with code 1" in said[0]
 
 
+def test_single_death_is_made_good_at_once_and_repeated_ones_ever_later(tmp_path: Path) -> None:
+    said: list[str] = []
+    supervisor = Supervisor(said.append)
+    one = service(tmp_path, "raise SystemExit(1)", restarts=3)
+    supervisor.start(one)
+    watch(supervisor, lambda: one.deaths == 2)
+    assert one.process.exit_code is not None
+    assert one.restart_at is not None  # not yet started again
+    assert [line.rpartition("again ")[2] for line in said] == ["at once", "in 1 s"]
+    watch(supervisor, lambda: one.deaths == 3)
+    assert said[-1].endswith("in 2 s")
+
+
 def test_service_that_dies_too_often_is_reported_with_its_last_words(tmp_path: Path) -> None:
     supervisor = Supervisor(lambda line: None)
     supervisor.start(service(tmp_path, "raise SystemExit('no more disk')"))

@@ -19,7 +19,7 @@ from athrl.train.supervisor import Supervisor
 
 START_SECONDS = 120.0
 """How long the learner may take until it answers."""
-GLANCE_SECONDS = 0.5
+GLANCE_SECONDS = 0.2
 DRAIN_SECONDS = 20.0
 CHECKPOINT_SECONDS = 60.0
 COMPARISON_SECONDS = 1800.0

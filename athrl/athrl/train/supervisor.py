@@ -86,9 +86,12 @@ class Supervisor:
         service.deaths += 1
         final = service.errors_are_final and code == EXPECTED_ERROR
         if service.deaths <= service.restarts and not final:
-            pause = 2.0 ** (service.deaths - 1)
+            pause = _pause(service.deaths)
             service.restart_at = now + pause
-            self._say(f"{service.name} {describe_exit(code)}; it is started again in {pause:.0f} s")
+            when = f"in {pause:.0f} s" if pause else "at once"
+            self._say(f"{service.name} {describe_exit(code)}; it is started again {when}")
+            if not pause:
+                service.start()
         elif service.optional:
             service.finished = True
             self._say(f"{service.name} {describe_exit(code)}: {' '.join(service.process.last_lines(1))}")
@@ -123,6 +126,11 @@ class Supervisor:
         """End everything without waiting; may be called from any thread."""
         for service in self.services:
             service.process.kill()
+
+
+def _pause(deaths: int) -> float:
+    """Return seconds until the next start: none after a single death, then ever more."""
+    return 0.0 if deaths == 1 else 2.0 ** (deaths - 2)
 
 
 def describe_exit(code: int) -> str:

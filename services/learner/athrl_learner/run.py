@@ -99,8 +99,9 @@ def run_learner(
         publisher = stack.enter_context(PolicyPublisher(session, run_file.run.name))
         parts = make_parts(stack, run_file, folder, content, publisher.publish)
         parts.publication.go_on(max(recorded_version(folder.latest_policy_facts), saved_version(content)))
-        connections = connect(stack, session, run_file, parts)
         stack.enter_context(short_collections())
+        # Not before everything is restored: who is answered is answered by a whole learner.
+        connections = connect(stack, session, run_file, parts)
         # Only settings that the checkpoint fits replace those it was made with.
         folder.lay_out(to_toml(run_file))
         # Last, because whoever has the run file expects everything else to be there.
