@@ -23,6 +23,12 @@ from athrl.options import (
 )
 from athrl.stopping import stop_on_signal
 
+CHECKPOINT_SECONDS = 60.0
+"""How long the learner may take to write its last checkpoint and to leave."""
+
+DRAIN_SECONDS = 30.0
+"""How long an actor or the evaluator may take to hand over what it has and to leave."""
+
 
 def learner(
     run_file: RunFileOption = None,
@@ -50,7 +56,7 @@ def learner(
             folder = None
     # The signals are caught before the import, which takes seconds.
     secure = certificates is not None or bool(run_settings.network.certificates)
-    with stop_on_signal() as stop, refusals_told(secure):
+    with stop_on_signal(within=CHECKPOINT_SECONDS) as stop, refusals_told(secure):
         with needs("learner"):
             from athrl_learner import run_learner
         if not stop.is_set():
@@ -64,7 +70,7 @@ def actor(
     certificates: CertificatesOption = None,
 ) -> None:
     """Drive environments with the newest policy and stream what happens to the learner."""
-    with stop_on_signal() as stop:
+    with stop_on_signal(within=DRAIN_SECONDS) as stop:
         with needs("actor"):
             from athrl_actor import run_actor
         if not stop.is_set():
@@ -84,7 +90,7 @@ def evaluator(
     certificates: CertificatesOption = None,
 ) -> None:
     """Score policies on fixed episodes, record them and let them be watched."""
-    with stop_on_signal() as stop:
+    with stop_on_signal(within=DRAIN_SECONDS) as stop:
         with needs("evaluator"):
             from athrl_evaluator import run_evaluator
         if not stop.is_set():

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 
+import pytest
 from athrl.stopping import LIFELINE
 
 SERVICE = """
@@ -52,6 +53,49 @@ def test_second_signal_ends_at_once() -> None:
     process.send_signal(signal.SIGTERM)
     assert process.wait(timeout=30) == 128 + signal.SIGTERM
     process.communicate()
+
+
+HANGING = """
+import sys, threading, time
+from athrl import stopping
+stopping._MARGIN_SECONDS = 1
+with stopping.stop_on_signal(before_exit=lambda: print("broken off", flush=True), within=1.0) as stop:
+    print("ready", flush=True)
+    stop.wait(60)
+    if sys.argv[1] == "in the drain":
+        time.sleep(600)
+if sys.argv[1] == "behind the block":
+    time.sleep(600)
+if sys.argv[1] == "with the interpreter held":
+    import ctypes
+    ctypes.PyDLL(None).sleep(600)  # without giving up the interpreter's lock
+if sys.argv[1] == "on the way out":
+    threading.Thread(target=time.sleep, args=(600,)).start()
+"""
+
+
+@pytest.mark.parametrize(
+    ("where", "code"),
+    [
+        ("in the drain", 1),
+        ("behind the block", 1),
+        ("on the way out", 1),
+        ("with the interpreter held", -signal.SIGALRM),
+    ],
+)
+def test_first_signal_limits_how_long_a_service_takes_to_leave(where: str, code: int) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", HANGING, where], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGTERM)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == code, errors
+    if code == 1:
+        assert output == "broken off\n"
+        (line,) = errors.splitlines()
+        assert line.startswith("athrl: stopping took more than 1 s")
 
 
 def test_parent_that_is_gone_drains_the_service() -> None:

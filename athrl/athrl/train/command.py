@@ -14,11 +14,12 @@ from athrl import runs
 from athrl.errors import CommandError, say
 from athrl.names import program
 from athrl.options import CertificatesOption, RunFileOption, SetOption, overrides, use_certificates
+from athrl.services import CHECKPOINT_SECONDS
 from athrl.stopping import stop_on_signal
 from athrl.train.closing import comparison_table, read_comparison
 from athrl.train.display import Display
 from athrl.train.plan import Plan, actors_that_fit, require_services, require_world
-from athrl.train.session import TrainingSession
+from athrl.train.session import STOP_SECONDS, TrainingSession
 from athrl.train.supervisor import Supervisor
 
 INTERRUPTED = 130
@@ -80,13 +81,13 @@ def _run_distributed(plan: Plan, actors: int, viewer_port: int) -> bool:
     use_certificates(plan.settings.network.certificates)
     with Display() as display:
         supervisor = Supervisor(display.say)
-        with stop_on_signal(before_exit=supervisor.kill) as stop:
+        with stop_on_signal(before_exit=supervisor.kill, within=STOP_SECONDS) as stop:
             return TrainingSession(plan, supervisor, display, actors, viewer_port).run(stop)
 
 
 def _run_serially(plan: Plan, stop_at: int | None) -> bool:
     """Drive and train in turns in this process; whether the run is finished."""
-    with Display() as display, stop_on_signal() as stop:
+    with Display() as display, stop_on_signal(within=CHECKPOINT_SECONDS) as stop:
         display.say(f"run {plan.settings.run.name} in {plan.folder}: serial, fingerprints in trace.txt")
         from athrl.serial.session import run_serial
 

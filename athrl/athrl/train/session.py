@@ -12,6 +12,7 @@ from athrl_protocol.session import require_free
 from athrl.errors import CommandError
 from athrl.names import program
 from athrl.run_view import RunSnapshot, RunView
+from athrl.services import CHECKPOINT_SECONDS
 from athrl.train import simulation
 from athrl.train.display import Display
 from athrl.train.plan import Plan, is_free
@@ -21,7 +22,8 @@ START_SECONDS = 120.0
 """How long the learner may take until it answers."""
 GLANCE_SECONDS = 0.2
 DRAIN_SECONDS = 20.0
-CHECKPOINT_SECONDS = 60.0
+STOP_SECONDS = DRAIN_SECONDS + CHECKPOINT_SECONDS + 10.0
+"""How long it all may take from the first signal: the others, then the learner, then to leave."""
 COMPARISON_SECONDS = 1800.0
 """How long the evaluator may go on after the learner has left."""
 
