@@ -21,6 +21,16 @@ def assert_one_line(result: subprocess.CompletedProcess[str], *words: str) -> No
         assert word in lines[0], lines[0]
 
 
+def assert_last_line(result: subprocess.CompletedProcess[str], *words: str) -> None:
+    """For a command that says what it does before it comes to what is wrong."""
+    last = result.stderr.splitlines()[-1]
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    assert last.startswith("athrl: ")
+    for word in words:
+        assert word in last, result.stderr
+
+
 def test_unknown_key_is_named_and_the_near_one_suggested(command, tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text("[learner]\nbatsch = 3\n")
     result = command.run("train", "--run-file", "my.toml", seconds=SECONDS)
@@ -87,6 +97,17 @@ def test_port_in_use_is_named(command, tiny: list[str], port: int) -> None:
         other.listen()
         assert_one_line(command.run("train", *tiny, seconds=SECONDS), str(port))
         assert_one_line(command.run("learner", *tiny, seconds=SECONDS), str(port))
+
+
+@pytest.mark.parametrize("words", [["learner"], ["train"], ["train", "--serial"]])
+def test_gpu_that_is_not_there_is_named_before_anything_is_written(
+    command, monkeypatch, tiny: list[str], words: list[str]
+) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    result = command.run(*words, *tiny, "--set", "learner.device=cuda", seconds=SECONDS)
+    assert_last_line(result, "learner.device is cuda", "learner.device to auto or cpu")
+    assert not list(command.folder.rglob("run.toml"))
+    assert not list(command.folder.rglob("checkpoints"))
 
 
 def test_learner_that_never_comes_is_named(command, port: int) -> None:

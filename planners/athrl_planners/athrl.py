@@ -200,15 +200,22 @@ class AtHRL:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from `state`; raises ValueError if it is another planner's."""
+        """Go on from `state`, bit for bit on the same kind of device.
+
+        Raises ValueError if it is another planner's.
+        """
         if state["kind"] != self.kind:
             raise ValueError(
                 f"the state is of a planner of kind {state['kind']!r}; this one is {self.kind!r}"
             )
         for level in (self._high, self._mid):
             level.load_state_dict(state["levels"][level.name])
-        self._noise.set_state(state["noise"].cpu())
         self.updates = int(state["updates"])
+        noise = state["noise"].cpu()
+        if noise.shape == self._noise.get_state().shape:
+            self._noise.set_state(noise)
+        else:  # of another kind of device, whose generator no other one can continue
+            self._noise.manual_seed(self._noise.initial_seed() + self.updates)
 
 
 def _online_context(trunk: Trunk, data: TrainingBatch, state: Tensor) -> Tensor:

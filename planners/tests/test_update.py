@@ -258,3 +258,19 @@ def test_the_callers_random_numbers_are_left_alone(make_agent: MakeAgent) -> Non
     torch.manual_seed(5)
     make_agent()
     assert torch.equal(torch.rand(1), expected)
+
+
+def test_state_of_another_kind_of_device_goes_on_with_noise_of_its_own(
+    make_sequence: MakeSequence, stack: Stack, make_agent: MakeAgent
+) -> None:
+    batch = stack([make_sequence(seed) for seed in range(3)])
+    agent = make_agent()
+    agent.update(batch)
+    state = {**agent.state_dict(), "noise": torch.zeros(16, dtype=torch.uint8)}  # as a GPU's generator has it
+    first, second = make_agent(), make_agent()
+    for successor in (first, second):
+        successor.load_state_dict(state)
+        successor.update(batch)
+    assert first.updates == 2
+    assert equal(first.state_dict(), second.state_dict())
+    assert not equal(first.state_dict()["noise"], make_agent().state_dict()["noise"])

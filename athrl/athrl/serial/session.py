@@ -15,6 +15,7 @@ from athrl_evaluator.results import ResultsFolder
 from athrl_evaluator.scoring import Scoring
 from athrl_learner import CannotResume
 from athrl_learner.checkpoint import CheckpointContent
+from athrl_learner.device import log_device
 from athrl_learner.going_on import checkpoint_to_go_on_from
 from athrl_learner.parts import make_parts
 from athrl_learner.run import short_collections
@@ -52,8 +53,10 @@ def run_serial(
         display: shows how the run goes.
 
     Raises:
-        LearnerError: the folder is taken, in use, or cannot be resumed, or the disk does not take the run.
+        LearnerError: the folder is taken, in use, or cannot be resumed, the disk does not take the run, or
+            this machine has not the device that the settings ask for.
     """
+    log_device(settings)
     _make_torch_deterministic(settings)
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(run_folder(settings)))

@@ -179,7 +179,9 @@ class LearnerSection(Section):
         "before the run ends in an error.",
     )
     threads: int = Field(default=1, ge=1, le=256, description="Threads that train.")
-    device: Literal["cpu", "cuda"] = Field(default="cpu", description="Where training happens.")
+    device: Literal["cpu", "cuda", "auto"] = Field(
+        default="cpu", description="Where training happens; auto: on a GPU where there is one."
+    )
 
 
 class DurabilitySection(Section):

@@ -13,6 +13,10 @@ class RunFolderInUse(LearnerError):  # noqa: N818
     """Another learner writes this run's folder at this moment."""
 
 
+class NoSuchDevice(LearnerError):  # noqa: N818
+    """Training was to happen on a device that this machine has not."""
+
+
 class CannotResume(LearnerError):  # noqa: N818
     """The folder holds nothing that a run could go on from."""
 

@@ -26,6 +26,7 @@ from athrl_protocol.certificates import find_certificates
 from athrl_protocol.limits import largest_chunk_of
 
 from athrl_learner.connections import NAME, connect
+from athrl_learner.device import log_device
 from athrl_learner.errors import CannotResume
 from athrl_learner.going_on import checkpoint_to_go_on_from
 from athrl_learner.learner import Learner
@@ -75,13 +76,15 @@ def run_learner(
         evaluator_deadline: seconds.
 
     Raises:
-        LearnerError: the folder is taken, in use, cannot be resumed, or does not take the last checkpoint.
+        LearnerError: the folder is taken, in use, cannot be resumed, or does not take the last checkpoint; or
+            this machine has no device of the kind that the run file asks for, and nothing has been written.
         ProtocolError: the address is in use, or `run.toml` is wrong.
     """
     began = time.monotonic()
     run_file, path = _what_and_where(run_file, resume)
     if run_file.serial.enabled:
         raise CannotResume(f"{path} is a serial run, which has no learner of its own: athrl train --serial")
+    log_device(run_file)
     torch.set_num_threads(run_file.learner.threads)
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path))

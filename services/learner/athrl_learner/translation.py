@@ -9,6 +9,7 @@ import numpy as np
 from athrl_planners import ActionRange, AtHRL, ObservationSettings, PlannerSettings, SequenceReplay
 from athrl_protocol import RunFile
 
+from athrl_learner.device import training_device
 from athrl_learner.experience import ChunkReader, ExpectedLevel
 from athrl_learner.limiter import SamplesPerInsert
 from athrl_learner.segments import SegmentLog
@@ -74,7 +75,7 @@ def make_agent(run_file: RunFile) -> AtHRL:
         observation_settings(run_file),
         action_ranges(run_file),
         seed=_seed(run_file, _AGENT),
-        device=run_file.learner.device,
+        device=training_device(run_file),
     )
 
 
