@@ -19,6 +19,7 @@ from athrl_protocol.chunk import Chunk, LevelColumns, check_chunk
 from athrl_protocol.chunk_codec import decode_chunk, encode_chunk
 from athrl_protocol.errors import (
     AddressInUse,
+    BackgroundFailed,
     InvalidMessage,
     LearnerNotFound,
     NameTaken,
@@ -45,6 +46,7 @@ __all__ = [
     "SCHEMA_HASH",
     "SCHEMA_VERSION",
     "AddressInUse",
+    "BackgroundFailed",
     "Chunk",
     "ChunkIntake",
     "ChunkUploader",

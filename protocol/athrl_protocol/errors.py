@@ -31,6 +31,10 @@ class RunFileError(ProtocolError):
     """The run file, or an override of one of its keys, is wrong."""
 
 
+class BackgroundFailed(ProtocolError):  # noqa: N818
+    """A thread or a callback of this process raised an exception, the cause: a bug, or no memory."""
+
+
 class InvalidMessage(ProtocolError):  # noqa: N818
     """A message from outside is not what it should be.
 

@@ -160,7 +160,7 @@ class ChunkIntake(Closing):
         self._commit_seconds = 0.0  # how long the last commit took
         self._lock = threading.RLock()
         self._stopped: athrl_pb2.Refusal.Reason | None = None
-        self.failure: Exception | None = None
+        self.failure: BaseException | None = None
         self._queryable = session.declare_queryable(
             Keys(run).every_experience, zenoh.handlers.FifoChannel(QUEUE_CAPACITY), complete=True
         )
@@ -218,6 +218,12 @@ class ChunkIntake(Closing):
         self._thread.join(timeout=CLOSE_SECONDS)
 
     def _serve(self, queries: zenoh.handlers.Handler[zenoh.Query]) -> None:
+        try:
+            self._serve_until_closed(queries)
+        except BaseException as error:  # a panic inside of Zenoh is no Exception
+            self._fail(error)
+
+    def _serve_until_closed(self, queries: zenoh.handlers.Handler[zenoh.Query]) -> None:
         while True:
             try:
                 query: zenoh.Query | None = queries.recv()
@@ -278,7 +284,7 @@ class ChunkIntake(Closing):
             raise InvalidMessage("size", f"chunk: {size} bytes, at most {self._largest} in this run")
         return query.payload.to_bytes() if query.payload is not None else b""
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: BaseException) -> None:
         """Take nothing in any more after the learner's own mistake; its main thread has to know."""
         _log.error("a chunk was not taken in: %s", error, exc_info=error)
         self.failure = error

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import zenoh
 
+from athrl_protocol.background import Background
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.frame import Frame, decode_frame, encode_frame
@@ -52,13 +53,22 @@ class FrameSubscription(Closing):
     def __init__(self, session: zenoh.Session, key: str, on_frame: Callable[[Frame], None]) -> None:
         self._on_frame = on_frame
         self._refusals = Refusals("a frame", _log)
+        self._background = Background("taking a frame", _log)
         self._subscriber = session.declare_subscriber(key, self._take)
 
     def close(self) -> None:
         """Stop watching."""
         undeclare_quietly(self._subscriber)
 
+    def check(self) -> None:
+        """Raise BackgroundFailed if `on_frame` raised anything."""
+        self._background.check()
+
     def _take(self, sample: zenoh.Sample) -> None:
+        with self._background.watched():
+            self._receive(sample)
+
+    def _receive(self, sample: zenoh.Sample) -> None:
         try:
             frame = decode_frame(sample.payload.to_bytes())
         except InvalidMessage as error:

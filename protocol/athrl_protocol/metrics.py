@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import zenoh
 
 from athrl_protocol import athrl_pb2
+from athrl_protocol.background import Background
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys, role_and_name_of
@@ -65,12 +66,13 @@ class MetricsSubscriber(Closing):
     Args:
         session: an open session, which stays the caller's.
         run: name of the run.
-        on_metrics: called with each report, from another thread.
+        on_metrics: called with each report, from another thread; what it raises is logged in one line.
     """
 
     def __init__(self, session: zenoh.Session, run: str, on_metrics: Callable[[MetricsReport], None]) -> None:
         self._on_metrics = on_metrics
         self._refusals = Refusals("a report of metrics", _log)
+        self._background = Background("taking a report of metrics", _log)
         self._subscriber = session.declare_subscriber(Keys(run).every_metrics, self._take)
 
     def close(self) -> None:
@@ -78,6 +80,10 @@ class MetricsSubscriber(Closing):
         undeclare_quietly(self._subscriber)
 
     def _take(self, sample: zenoh.Sample) -> None:
+        with self._background.watched():
+            self._receive(sample)
+
+    def _receive(self, sample: zenoh.Sample) -> None:
         role, name = role_and_name_of(str(sample.key_expr))
         try:
             report = decode_metrics(sample.payload.to_bytes())

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import zenoh
 
 from athrl_protocol import athrl_pb2
+from athrl_protocol.background import Background
 from athrl_protocol.closing import Closing
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import new_incarnation
@@ -92,6 +93,9 @@ class NewestSubscriber(Closing):
         session: an open session, which stays the caller's.
         key: key expression; with wildcards every matching key has a newest value of its own.
         on_value: called with each value that is taken, from a thread of this object, in order.
+
+    What `on_value` or a thread of this object raises is logged, and raised as BackgroundFailed by `latest`
+    and `wait`.
     """
 
     def __init__(
@@ -100,6 +104,7 @@ class NewestSubscriber(Closing):
         self._on_value = on_value
         self._refusals = Refusals(f"a value under {key}", _log)
         self._changed = threading.Condition()
+        self._background = Background(f"the subscription to {key}", _log, wake=self._wake)
         self._editions: dict[str, Edition] = {}
         self._without_publisher: set[str] = set()
         self._latest: bytes | None = None
@@ -121,12 +126,16 @@ class NewestSubscriber(Closing):
     def latest(self) -> bytes | None:
         """Return the newest value (of whichever key changed last), or None before there is one."""
         with self._changed:
+            self._background.check()
             return self._latest
 
     def wait(self, timeout: float) -> bytes | None:
         """Wait until there is a value, at most `timeout` seconds; return it or None."""
         with self._changed:
-            self._changed.wait_for(lambda: self._latest is not None or self._closed.is_set(), timeout)
+            self._changed.wait_for(
+                lambda: self._latest is not None or self._closed.is_set() or self._background.failed, timeout
+            )
+            self._background.check()
             return self._latest
 
     def ask(self) -> None:
@@ -155,12 +164,24 @@ class NewestSubscriber(Closing):
         if threading.current_thread() is not self._asker:
             self._asker.join(timeout=QUERY_SECONDS)
 
+    def check(self) -> None:
+        """Raise BackgroundFailed if a thread of this object failed, or `on_value` did."""
+        self._background.check()
+
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
     def _take_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
             self._take(reply.ok)
 
     def _take(self, sample: zenoh.Sample) -> None:
-        """Keep a value if it is newer than the one of its key."""
+        """Keep a value if it is newer than the one of its key; may be called by several threads."""
+        with self._background.watched():
+            self._keep(sample)
+
+    def _keep(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:  # the publisher has no value yet
             return
         try:
@@ -183,10 +204,8 @@ class NewestSubscriber(Closing):
     def _hand_over(self, payload: bytes) -> None:
         if self._on_value is None:
             return
-        try:
+        with self._background.watched():  # must not end the thread that keeps the newest value
             self._on_value(payload)
-        except Exception:  # must not end the thread that keeps the newest value
-            _log.exception("a value was not used")
 
     def _is_newer(self, key: str, edition: Edition) -> bool:
         known = self._editions.get(key)
@@ -196,17 +215,20 @@ class NewestSubscriber(Closing):
 
     def _ask_publishers_that_come(self, publishers: zenoh.handlers.Handler[zenoh.Sample]) -> None:
         """Ask every publisher that appears for its newest value, until closed."""
-        while not self._closed.is_set():
-            try:
-                event = publishers.recv()
-                key = str(event.key_expr)
-                if event.kind == zenoh.SampleKind.PUT:
-                    self._ask(key)
-                else:
-                    with self._changed:
-                        self._without_publisher.add(key)
-            except zenoh.ZError:  # undeclared, or the session was closed
-                return
+        with self._background.watched():
+            while not self._closed.is_set():
+                try:
+                    event = publishers.recv()
+                    key = str(event.key_expr)
+                    if event.kind == zenoh.SampleKind.PUT:
+                        self._ask(key)
+                    else:
+                        with self._changed:
+                            self._without_publisher.add(key)
+                except zenoh.ZError:
+                    if self._closed.is_set() or self._session.is_closed():
+                        return
+                    raise
 
     def _ask(self, key: str) -> None:
         """Query the publisher of a key, again for some time if it does not answer."""

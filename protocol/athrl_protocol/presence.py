@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 
 import zenoh
 
+from athrl_protocol.background import Background
 from athrl_protocol.closing import Closing
 from athrl_protocol.keys import Keys, role_and_name_of
 from athrl_protocol.session import undeclare_quietly
+
+_log = logging.getLogger(__name__)
 
 
 class Presence(Closing):
@@ -35,6 +39,8 @@ class PresenceWatcher(Closing):
         session: an open session, which stays the caller's.
         run: name of the run.
         on_change: called with the new set after each change, from another thread.
+
+    What goes wrong in the other thread is logged, and raised as BackgroundFailed by `present` and `wait_for`.
     """
 
     def __init__(
@@ -45,6 +51,7 @@ class PresenceWatcher(Closing):
     ) -> None:
         self._on_change = on_change
         self._changed = threading.Condition()
+        self._background = Background("the watch over who is there", _log, wake=self._wake)
         self._present: frozenset[tuple[str, str]] = frozenset()
         # With history, because a query for tokens can come back empty behind a router.
         self._subscriber = session.liveliness().declare_subscriber(
@@ -54,12 +61,17 @@ class PresenceWatcher(Closing):
     def present(self) -> set[tuple[str, str]]:
         """Return (role, name) of all services that are there."""
         with self._changed:
+            self._background.check()
             return set(self._present)
 
     def wait_for(self, condition: Callable[[frozenset[tuple[str, str]]], bool], timeout: float) -> bool:
         """Wait at most `timeout` seconds until the set fulfils the condition; return whether it does."""
         with self._changed:
-            return self._changed.wait_for(lambda: condition(self._present), timeout)
+            reached = self._changed.wait_for(
+                lambda: self._background.failed or condition(self._present), timeout
+            )
+            self._background.check()
+            return reached
 
     def close(self) -> None:
         """Stop watching."""
@@ -67,6 +79,14 @@ class PresenceWatcher(Closing):
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Add or remove a service; the same event may come twice."""
+        with self._background.watched():
+            self._note(sample)
+
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _note(self, sample: zenoh.Sample) -> None:
         service = role_and_name_of(str(sample.key_expr))
         with self._changed:
             if sample.kind == zenoh.SampleKind.PUT:

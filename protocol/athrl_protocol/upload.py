@@ -22,6 +22,7 @@ from typing import NamedTuple
 import zenoh
 
 from athrl_protocol import athrl_pb2
+from athrl_protocol.background import Background
 from athrl_protocol.chunk import Chunk
 from athrl_protocol.chunk_codec import encode_chunk, with_oldest_held
 from athrl_protocol.closing import Closing
@@ -85,6 +86,7 @@ class ChunkUploader(Closing):
         self._incarnation = incarnation
         self._window = UploadWindow(capacity)
         self._changed = threading.Condition()
+        self._background = Background("the upload", _log, wake=self._wake)
         self._submitting = threading.Lock()  # taken before `_changed`; one chunk is encoded after another
         self._under_way: deque[_UnderWay] = deque()  # of the thread alone
         self._credits = 1
@@ -119,10 +121,12 @@ class ChunkUploader(Closing):
 
         Raises:
             InvalidMessage: the chunk itself is not valid.
+            BackgroundFailed: the thread that sends has failed; no chunk will ever be sent.
         """
         with self._submitting:
             with self._changed:
                 self._changed.wait_for(lambda: not self._is_full or self._is_over(), timeout)
+                self._background.check()
                 if self._is_full or self._is_over():
                     return False
                 sequence = self._window.next_sequence  # nobody else adds
@@ -147,9 +151,14 @@ class ChunkUploader(Closing):
             self._window.leave_out(chunks)
 
     def flush(self, timeout: float) -> bool:
-        """Wait at most `timeout` seconds until every chunk is settled; return whether that is so."""
+        """Wait at most `timeout` seconds until every chunk is settled; return whether that is so.
+
+        Raises:
+            BackgroundFailed: the thread that sends has failed.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._window.is_empty or self._is_over(), timeout)
+            self._background.check()
             return self._window.is_empty and not self._closed.is_set()
 
     def statistics(self) -> UploadStatistics:
@@ -179,19 +188,24 @@ class ChunkUploader(Closing):
         return self._window.is_full
 
     def _is_over(self) -> bool:
-        return self._finished or self._closed.is_set()
+        return self._finished or self._closed.is_set() or self._background.failed
+
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
 
     def _send_until_closed(self) -> None:
-        while not self._closed.is_set():
-            try:
-                self._send_what_may_go()
-                if self._under_way:
-                    self._settle(self._under_way.popleft())
-                elif self._wait_for_a_chunk():
+        with self._background.watched():
+            while not self._closed.is_set():
+                try:
+                    self._send_what_may_go()
+                    if self._under_way:
+                        self._settle(self._under_way.popleft())
+                    elif self._wait_for_a_chunk():
+                        self._start_over(_Outcome.SILENCE)
+                except zenoh.ZError as error:  # the session was closed, or the network refuses
+                    _log.debug("upload: %s", error)
                     self._start_over(_Outcome.SILENCE)
-            except zenoh.ZError as error:  # the session was closed, or the network refuses
-                _log.debug("upload: %s", error)
-                self._start_over(_Outcome.SILENCE)
 
     def _wait_for_a_chunk(self) -> bool:
         """Wait a while for something to send; return whether all was sent and answered and yet is held."""

@@ -42,6 +42,8 @@ class TypedSubscriber(Generic[_Value], Closing):
         key: key expression.
         decode: returns the value in a payload or raises InvalidMessage.
         on_value: called with every value that is taken, from another thread.
+
+    What `decode` or `on_value` raises beyond that is logged, and `newest` and `wait` raise BackgroundFailed.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class TypedSubscriber(Generic[_Value], Closing):
 
     def newest(self) -> _Value | None:
         """Return the newest value, or None before there is one."""
+        self._subscriber.check()
         with self._changed:
             return self._newest
 
@@ -68,6 +71,7 @@ class TypedSubscriber(Generic[_Value], Closing):
         """Wait until there is a value, at most `timeout` seconds; return it or None."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._closed, timeout)
+            self._subscriber.check()
             return self._newest
 
     def ask(self) -> None:

@@ -47,9 +47,9 @@ log = logging.getLogger(__name__)
 def run_actor(*, connect: str, run: str, name: str, stop: threading.Event) -> None:
     """Drive until the run is finished or `stop` is set.
 
-    Raises ProtocolError when the learner or the run is not there or another live actor has the name,
-    InvalidPolicy when the run's policy cannot be run, and TooManyFailures when the environments fail again
-    and again; what is complete has been handed over then.
+    Raises ProtocolError when the learner or the run is not there, another live actor has the name or a
+    thread of this one fails, InvalidPolicy when the run's policy cannot be run, and TooManyFailures when the
+    environments fail again and again; what is complete has been handed over then.
     """
     with ExitStack() as stack:
         joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)
@@ -154,12 +154,20 @@ class Actor:
     def _drain(self) -> None:
         """Hand over the open chunks, wait a little for their acknowledgement, and say what became of all."""
         self._pending.extend(self._rollout.flush())
+        try:
+            self._deliver_what_is_left()
+        finally:
+            self._account_for_all()
+
+    def _deliver_what_is_left(self) -> None:
         deadline = time.monotonic() + DRAIN_SECONDS
         while self._pending and not self._uploader.finished:
             if not self._uploader.submit(self._pending[0], timeout=max(0.0, deadline - time.monotonic())):
                 break
             self._pending.popleft()
         self._uploader.flush(timeout=max(0.0, deadline - time.monotonic()))
+
+    def _account_for_all(self) -> None:
         left = len(self._pending) + self._uploader.statistics().waiting
         if left and not self._uploader.finished:
             log.warning("%d chunks were not acknowledged within %.0f s", left, DRAIN_SECONDS)

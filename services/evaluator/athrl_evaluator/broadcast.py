@@ -7,14 +7,18 @@ again until there is a newer one.
 
 from __future__ import annotations
 
+import logging
 import threading
 from typing import Protocol
 
 from athrl_protocol import Frame
+from athrl_protocol.background import Background
 
 LONGEST_PAUSE = 1.0  # s between two frames, whatever their simulated times are
 PAUSE_BETWEEN = 1.0  # s between two episodes
 IDLE = 0.2  # s between two looks whether somebody watches
+
+log = logging.getLogger(__name__)
 
 
 class FrameSink(Protocol):
@@ -34,6 +38,7 @@ class Broadcast:
     def __init__(self, sink: FrameSink) -> None:
         self._sink = sink
         self._newest: list[Frame] = []
+        self._background = Background("showing an episode", log)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._play, name="broadcast", daemon=True)
@@ -54,7 +59,8 @@ class Broadcast:
             with self._lock:
                 frames = self._newest
             if frames and self._sink.watched:
-                self._play_episode(frames)
+                with self._background.watched():  # the next episode may go better
+                    self._play_episode(frames)
                 self._stop.wait(PAUSE_BETWEEN)
 
     def _play_episode(self, frames: list[Frame]) -> None:

@@ -1,0 +1,255 @@
+"""What it costs an actor to stream its experience: its own code, beside the same rollout without.
+
+The actor is the real one, in this process: environments, perception, exploration, the planner's policy in
+ONNX Runtime, chunks, upload. Its learner is a process of its own which takes chunks in, writes them down and
+acknowledges them, without training; it shares the machine. In turns the actor streams, and drives the same
+environments without gathering, encoding or sending anything. A decision's cost is told by thread: gathering
+is what the driving thread takes beyond driving; the uploader's thread encodes, sends and hears answers;
+Zenoh's own threads are the network. Encoding and compression are measured alone, on chunks that were sent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from athrl_actor.actor import ROLE, Actor
+from athrl_actor.rollout import Rollout
+from athrl_protocol import Chunk, RunFile, encode_chunk, join_run, read_run_file
+
+from benchmarks.router import free_address
+
+RUN = "benchmark"
+NAME = "streaming"
+_PATIENCE = 60.0
+_TURNS = 5
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+def learner(address: str, overrides: list[str], folder: str) -> None:
+    """Be the learner until the input is closed: publish one policy, take chunks in."""
+    from athrl.doctor.light_learner import WritingReceiver
+    from athrl_learner import translation
+    from athrl_planners import PolicyExporter
+    from athrl_protocol import (
+        ChunkIntake,
+        PolicyPublisher,
+        PolicyUpdate,
+        announce_presence,
+        open_session,
+        serve_run_file,
+    )
+
+    run_file = read_run_file(None, overrides)
+    log = translation.make_log(run_file, Path(folder))
+    artefact = PolicyExporter(translation.make_agent(run_file)).artefact()
+    with (
+        open_session(listen=address, timeout=_PATIENCE) as session,
+        serve_run_file(session, run_file),
+        announce_presence(session, RUN, "learner", "learner"),
+        PolicyPublisher(session, RUN) as policies,
+        ChunkIntake(session, RUN, WritingReceiver(log)),
+    ):
+        policies.publish(PolicyUpdate(0, artefact, False, 1.0, 0, 0, time.time()))
+        print("ready", flush=True)
+        sys.stdin.read()
+    log.close()
+
+
+@contextlib.contextmanager
+def learner_process(overrides: list[str]) -> Iterator[str]:
+    """A learner in a process of its own; gives its address."""
+    address = free_address()
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "benchmarks.streaming", "--learner", address, "--folder", folder]
+        command += [word for override in overrides for word in ("--set", override)]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+            if process.stdout.readline() != b"ready\n":
+                sys.exit("the learner could not be started")
+            yield address
+            process.stdin.close()
+            process.wait(_PATIENCE)
+
+
+class SilentRollout(Rollout):
+    """Decides and drives, and keeps nothing of it while `silent`."""
+
+    silent = False
+    kept: list[Chunk]
+
+    def _cut(self, *arguments: object) -> list[Chunk]:
+        if self.silent:
+            return []
+        chunks = super()._cut(*arguments)
+        self.kept = (self.kept + chunks)[-64:]
+        return chunks
+
+
+class Lap:
+    """CPU seconds by thread, and seconds of the clock, over the turns of one kind."""
+
+    def __init__(self) -> None:
+        self.decisions = 0
+        self.clock: list[float] = []  # microseconds a decision, of each turn
+        self.busy: Counter[str] = Counter()  # CPU seconds
+
+    def microseconds(self, *kinds: str) -> float:
+        """CPU time of a decision in threads of these kinds, or of all."""
+        return 1e6 * sum(self.busy[kind] for kind in kinds or self.busy) / self.decisions
+
+
+def busy_by_thread(main: int, upload: int) -> Counter[str]:
+    """CPU seconds of this process so far: driving, upload, network."""
+    busy: Counter[str] = Counter()
+    for task in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it ended
+            number, name = int(task.name), (task / "comm").read_text().strip()
+            seconds = int((task / "schedstat").read_text().split()[0]) / 1e9
+            if number == upload:
+                kind = "upload"
+            elif number != main and name.split("-")[0] in ("rx", "tx", "net", "acc", "app"):
+                kind = "network"
+            else:
+                kind = "driving"
+            busy[kind] += seconds
+    return busy
+
+
+class Measured:
+    """An actor that streams or does not, and what that costs."""
+
+    def __init__(self, actor: Actor) -> None:
+        self._actor = actor
+        rollout = actor._rollout
+        rollout.__class__ = SilentRollout
+        assert isinstance(rollout, SilentRollout)
+        rollout.kept = []
+        self.rollout = rollout
+        self._upload = actor._uploader._thread.native_id
+        self.laps = {True: Lap(), False: Lap()}
+
+    def warm_up(self) -> None:
+        """Wait for the policy, compile, fill caches."""
+        deadline = time.monotonic() + 10 * _PATIENCE
+        while not self._actor._may_drive():
+            if time.monotonic() > deadline:
+                sys.exit("there came no policy")
+            self._actor._adopt_newest_policy()
+            time.sleep(0.01)
+        self._drive(2.0)
+
+    def turn(self, streaming: bool, seconds: float) -> None:
+        """Drive for a while in one of the two ways."""
+        lap, main = self.laps[streaming], threading.get_native_id()
+        self._drive(0.2)  # both begin with full queues and warm caches
+        if not streaming:
+            self._actor._hand_over(self.rollout.flush())
+            self._actor._uploader.flush(_PATIENCE)
+        self.rollout.silent = not streaming
+        before, began = busy_by_thread(main, self._upload), time.perf_counter()
+        decisions = self._drive(seconds)
+        lap.clock.append(1e6 * (time.perf_counter() - began) / decisions)
+        after = busy_by_thread(main, self._upload)
+        after.subtract(before)
+        lap.busy.update(after)
+        lap.decisions += decisions
+        self.rollout.silent = False
+        self.rollout.abandon(range(len(self._actor._batch)))  # what it drove in silence is no experience
+
+    def _drive(self, seconds: float) -> int:
+        """The loop of `Actor.run`; how many decisions it made."""
+        actor, steps = self._actor, 0
+        until = time.perf_counter() + seconds
+        while time.perf_counter() < until:
+            actor._adopt_newest_policy()
+            actor._report()
+            if actor._may_drive():
+                actor._hand_over(actor._drive())
+                steps += 1
+        return steps * len(actor._batch)
+
+
+def encoding(chunks: list[Chunk], seconds: float = 1.0) -> tuple[float, float]:
+    """Microseconds that encoding a transition takes, and its bytes."""
+    size = sum(len(encode_chunk(chunk)) for chunk in chunks)
+    length = sum(chunk.length for chunk in chunks)
+    transitions, began = 0, time.process_time()
+    while time.process_time() - began < seconds:
+        for chunk in chunks:
+            encode_chunk(chunk)
+        transitions += length
+    return 1e6 * (time.process_time() - began) / transitions, size / length
+
+
+def measure(run_file: RunFile, address: str, seconds: float) -> dict[str, float]:
+    """Let an actor drive in both ways, in turns."""
+    stop = threading.Event()
+    with contextlib.ExitStack() as stack:
+        joined = join_run(role=ROLE, connect=address, run=RUN, name=NAME, stop=stop, stack=stack)
+        assert joined is not None
+        session, _ = joined
+        actor = Actor(session, run_file, NAME, stop, stack)
+        measured = Measured(actor)
+        measured.warm_up()
+        for _ in range(_TURNS):
+            for streaming in (True, False):
+                measured.turn(streaming, seconds / _TURNS / 2)
+        streamed, silent = measured.laps[True], measured.laps[False]
+        uploads = actor._uploader.statistics()
+        encode_us, size = encoding(measured.rollout.kept)
+        upload = streamed.microseconds("upload") - silent.microseconds("upload")
+        network = streamed.microseconds("network") - silent.microseconds("network")
+        gathering = streamed.microseconds("driving") - silent.microseconds("driving")
+        base, full = silent.microseconds(), streamed.microseconds()
+        return {
+            "driving_us": base,
+            "streaming_us": full - base,
+            "share_of_cpu": (full - base) / full,
+            "gathering_us": gathering,
+            "upload_thread_us": upload,
+            "encoding_us": encode_us,
+            "network_us": network,
+            "clock_driving_us": statistics.median(silent.clock),
+            "clock_streaming_us": statistics.median(streamed.clock) - statistics.median(silent.clock),
+            "share_of_clock": 1 - statistics.median(silent.clock) / statistics.median(streamed.clock),
+            "bytes_per_transition": size,
+            "decisions": streamed.decisions,
+            "chunks_resent": uploads.resent,
+        }
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=30.0, help="of driving, in both ways together")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the run file")
+    parser.add_argument("--learner", help=argparse.SUPPRESS)
+    parser.add_argument("--folder", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.learner:
+        learner(arguments.learner, arguments.set, arguments.folder)
+        return
+    overrides = [f"run.name={RUN}", "run.environment_steps=1000000000", *arguments.set]
+    run_file = read_run_file(None, overrides)
+    load = os.getloadavg()[0]
+    with learner_process(overrides) as address:
+        row = {name: round(value, 4) for name, value in measure(run_file, address, arguments.seconds).items()}
+    for name, value in row.items():
+        print(f"{name:24s} {value:12,.3f}")
+    facts = {"cores": os.cpu_count(), "load": load, "environments": run_file.actor.environments}
+    print(json.dumps({**facts, "steps": run_file.replay.sequence_length, **row}))
+
+
+if __name__ == "__main__":
+    main()
