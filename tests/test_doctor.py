@@ -90,6 +90,7 @@ def test_full_disk_is_named(doctor, full_disk: Path) -> None:
     assert of(report, "run folder")["level"] == "failed"
     assert str(full_disk) in of(report, "run folder")["seen"]
     assert "run.folder" in of(report, "run folder")["remedy"]
+    assert of(report, "delivery")["seen"].startswith(f"not tried: {full_disk}")
 
 
 def test_absent_learner_is_one_failed_line(command, port: int) -> None:

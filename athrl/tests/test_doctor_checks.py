@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from athrl.certificates import _load_authority, _new_role, _write_role, make_all
-from athrl.doctor import installation, machine, network
+from athrl.doctor import disk, installation, machine, network, round_trip
 from athrl.doctor.finding import Finding, Level, findings_of, ok
 from athrl.doctor.round_trip import count, made_up_chunk, small_storm
 from athrl.errors import CommandError
@@ -127,9 +127,40 @@ def test_open_address_without_certificates_is_a_warning(monkeypatch: pytest.Monk
 
 
 def test_folder_that_cannot_be_written_is_named() -> None:
-    found = list(machine.disk(settings("run.folder=/proc/self")))
+    found = list(disk.disk(settings("run.folder=/proc/self")))
     assert found[0].level is Level.FAILED
     assert "cannot write" in found[0].seen
+
+
+def test_disk_of_the_run_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    of_run = settings(f"run.folder={tmp_path / 'runs'}", "durability.reserve_mebibytes=1")
+    found = {finding.check: finding for finding in disk.disk(of_run)}
+    assert found["run folder"].seen == f"{tmp_path} can be written"
+    assert found["disk speed"].seen.endswith("MiB/s")
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(disk, "SLOW_MEBIBYTES_PER_SECOND", 1e9)
+    assert {each.check: each.level for each in disk.disk(of_run)}["disk speed"] is Level.WARNING
+
+
+def test_chunks_are_logged_on_the_disk_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folders = []
+
+    def storm(folder: Path, chunks: int, fsync: str) -> round_trip.Outcome:
+        outcome = small_storm(folder, 60, fsync)
+        folders.append((folder.parent, len(numbered_segments(folder)), fsync))
+        return outcome._replace(acknowledged=chunks)
+
+    monkeypatch.setattr(round_trip, "small_storm", storm)
+    of_run = settings(
+        f"run.folder={tmp_path / 'runs'}",
+        "durability.reserve_mebibytes=1",
+        "durability.fsync=acknowledgement",
+    )
+    (found,) = round_trip.round_trip(of_run)
+    assert found.level is Level.OK, found.seen
+    assert folders == [(tmp_path, 2, "acknowledgement")]
+    assert str(tmp_path) in found.seen
+    assert not list(tmp_path.iterdir())
 
 
 def test_replay_is_sized_as_the_learner_sizes_it() -> None:

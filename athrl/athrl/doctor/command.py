@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from athrl import runs
-from athrl.doctor import installation, live_run, machine, network, round_trip
+from athrl.doctor import disk, installation, live_run, machine, network, round_trip
 from athrl.doctor.finding import Check, Finding, Level, findings_of
 from athrl.options import CertificatesOption, JsonOption, LiveRunOption, RunFileOption, SetOption, overrides
 
@@ -80,11 +80,11 @@ def _checks(settings: RunFile, connect: str | None, run: str | None) -> Iterator
     yield "installation", installation.installation
     yield "cores", machine.cores
     yield "memory", lambda: machine.memory(settings)
-    yield "disk", lambda: machine.disk(settings)
+    yield "disk", lambda: disk.disk(settings)
     yield "simulation", machine.simulation
     if connect is None:
         yield "port", lambda: network.port(settings)
     yield "certificates", lambda: network.certificates(settings)
-    yield "delivery", round_trip.round_trip
+    yield "delivery", lambda: round_trip.round_trip(settings)
     if connect is not None:
         yield "learner", lambda: live_run.live_run(connect, run)

@@ -1,6 +1,6 @@
 """A learner that only takes chunks in: log, ledger and intake are the real ones, nothing is trained.
 
-    python -m athrl.doctor.light_learner ADDRESS FOLDER
+    python -m athrl.doctor.light_learner ADDRESS FOLDER FSYNC
 
 Says "ready" when it listens, and ends with its standard input.
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 
 from athrl_learner.files import Files
 from athrl_learner.segments import Kind, Record, SegmentFacts, SegmentLog, SegmentReader, numbered_segments
+from athrl_learner.segments.writing import Fsync
 from athrl_protocol import Chunk, ChunkIntake, decode_chunk, open_session
 from athrl_protocol.ledger import Ledger
 
@@ -56,9 +57,9 @@ def read_again(log: SegmentLog) -> Ledger:
     return ledger
 
 
-def main(address: str, folder: str) -> None:
-    """Take chunks in until the input is closed."""
-    log = SegmentLog(Path(folder), segment_bytes=SEGMENT_BYTES, fsync="never")
+def main(address: str, folder: str, fsync: Fsync) -> None:
+    """Take chunks in until the input is closed; `fsync` as in the run file."""
+    log = SegmentLog(Path(folder), segment_bytes=SEGMENT_BYTES, fsync=fsync)
     ledger = read_again(log)
     with (
         open_session(listen=address, timeout=_LISTEN_SECONDS, run=RUN) as session,
@@ -70,4 +71,4 @@ def main(address: str, folder: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(*sys.argv[1:])  # type: ignore[arg-type]

@@ -1,27 +1,20 @@
-"""Whether this machine has the cores, the memory, the disk and the compiled simulation that a run needs."""
+"""Whether this machine has the cores, the memory and the compiled simulation that a run needs."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
-import statistics
-import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from athrl_protocol.run_file import RunFile
 
 from athrl.doctor.finding import Finding, failed, ok, warning
-from athrl.runs import run_folder
 
 CHANNELS = 4
 LEARNER_BYTES, ACTOR_BYTES = 2**30, 400 * 2**20
 """What a learner takes beside its replay, and an actor with eight environments."""
-LOG_BYTES_PER_TRANSITION, CHECKPOINT_BYTES = 512, 12 * 2**20
-SLOW_SYNC_SECONDS = 0.05
-_SYNCS, _SYNC_BYTES = 15, 2**16
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -53,25 +46,6 @@ def memory(settings: RunFile) -> Iterator[Finding]:
         yield warning("memory", seen, "it gets tight: set a smaller replay.capacity, or free memory")
     else:
         yield ok("memory", seen)
-
-
-def disk(settings: RunFile) -> Iterator[Finding]:
-    """Look whether the run's folder can be written, has room, and what bringing data to its disk costs."""
-    folder = run_folder(settings).absolute()
-    place = next(path for path in (folder, *folder.parents) if path.is_dir())
-    try:
-        with tempfile.TemporaryDirectory(dir=place, prefix=".athrl-doctor-") as scratch:
-            seconds = _sync_seconds(Path(scratch))
-    except OSError as error:
-        yield failed(
-            "run folder",
-            f"cannot write {place}: {(error.strerror or str(error)).lower()}",
-            "make room, or choose a folder of yours with run.folder",
-        )
-        return
-    yield ok("run folder", f"{place} can be written")
-    yield _room(settings, place)
-    yield _sync_cost(settings, seconds)
 
 
 def simulation() -> Iterator[Finding]:
@@ -120,40 +94,3 @@ def _core_limit() -> float | None:
         quota, period = (_CGROUP / "cpu.max").read_text().split()
         return int(quota) / int(period)
     return None
-
-
-def _room(settings: RunFile, place: Path) -> Finding:
-    facts = os.statvfs(place)
-    free = facts.f_bavail * facts.f_frsize
-    reserve = settings.durability.reserve_mebibytes * 2**20
-    log = settings.replay.capacity * LOG_BYTES_PER_TRANSITION
-    needed = reserve + log + (settings.learner.checkpoints_kept + 2) * CHECKPOINT_BYTES
-    seen = f"{free / 2**30:.1f} GiB free, a run takes about {needed / 2**30:.1f}"
-    if free < reserve:
-        return failed("disk", seen, "intake would pause at once: make room, or choose another run.folder")
-    if free < needed:
-        return warning("disk", seen, "intake will pause when the disk is full: make room")
-    return ok("disk", seen)
-
-
-def _sync_seconds(folder: Path) -> float:
-    """Return the median time in which a little data comes to the disk; raises OSError."""
-    seconds = []
-    descriptor = os.open(folder / "sync", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    try:
-        for _ in range(_SYNCS):
-            os.write(descriptor, bytes(_SYNC_BYTES))
-            began = time.perf_counter()
-            os.fsync(descriptor)
-            seconds.append(time.perf_counter() - began)
-    finally:
-        os.close(descriptor)
-    return statistics.median(seconds)
-
-
-def _sync_cost(settings: RunFile, seconds: float) -> Finding:
-    how = settings.durability.fsync
-    seen = f"{seconds * 1000:.1f} ms, durability.fsync is {how!r}"
-    if seconds > SLOW_SYNC_SECONDS and how == "acknowledgement":
-        return warning("fsync", seen, "actors will wait for the disk: set durability.fsync=interval")
-    return ok("fsync", seen)

@@ -7,7 +7,6 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -18,12 +17,16 @@ from typing import NamedTuple
 import numpy as np
 from athrl_protocol import Chunk, ChunkUploader, LevelColumns, decode_chunk, new_incarnation, open_session
 from athrl_protocol.certificates import VARIABLE
+from athrl_protocol.run_file import RunFile
 
-from athrl.doctor.finding import Finding, failed, ok
+from athrl.doctor.disk import room_left, run_place, scratch_folder
+from athrl.doctor.finding import Finding, failed, ok, warning
 from athrl.errors import CommandError
 
 CHUNKS = 3_000
 RUN = ACTOR = "doctor"
+LOG_BYTES = 16 * 2**20
+"""More than the chunks take."""
 START_SECONDS, ROUND_TRIP_SECONDS = 60.0, 120.0
 
 
@@ -36,16 +39,22 @@ class Outcome(NamedTuple):
     stall: float
 
 
-def round_trip() -> Iterator[Finding]:
-    """Send some thousand chunks over loopback, kill the receiver in the middle, and count."""
+def round_trip(settings: RunFile) -> Iterator[Finding]:
+    """Send some thousand chunks over loopback into a log on the run's disk, kill the receiver, and count."""
     if find_spec("athrl_learner") is None:
         yield ok("delivery", "not tried: no learner is installed here")
         return
-    with tempfile.TemporaryDirectory(prefix="athrl-doctor-") as scratch:
-        outcome = small_storm(Path(scratch), CHUNKS)
+    place = run_place(settings)
+    if room_left(settings, place) < LOG_BYTES or not os.access(place, os.W_OK):
+        yield warning(
+            "delivery", f"not tried: {place} takes nothing", "see the run folder and the disk above"
+        )
+        return
+    with scratch_folder(place) as scratch:
+        outcome = small_storm(Path(scratch), CHUNKS, settings.durability.fsync)
     seen = (
         f"{outcome.acknowledged} chunks acknowledged over a kill of the receiver, lost {outcome.lost}, "
-        f"twice {outcome.twice}, longest wait {outcome.stall:.1f} s"
+        f"twice {outcome.twice}, longest wait {outcome.stall:.1f} s; logged in {place}"
     )
     if outcome.lost or outcome.twice or outcome.acknowledged < CHUNKS:
         yield failed("delivery", seen, "trust no run to this machine: try another file system")
@@ -53,8 +62,8 @@ def round_trip() -> Iterator[Finding]:
         yield ok("delivery", seen)
 
 
-def small_storm(folder: Path, chunks: int) -> Outcome:
-    """Deliver chunks into a log in `folder`, with a kill after a third of them.
+def small_storm(folder: Path, chunks: int, fsync: str = "never") -> Outcome:
+    """Deliver chunks into a log in `folder`, with a kill after a third of them; `fsync` as in the run file.
 
     Raises:
         CommandError: the receiver does not start, or not everything is acknowledged in time.
@@ -62,7 +71,7 @@ def small_storm(folder: Path, chunks: int) -> Outcome:
     address = f"tcp/127.0.0.1:{_free_port()}"
     with contextlib.ExitStack() as stack:
         stack.enter_context(_without_certificates())
-        receiver = stack.enter_context(_receiver(address, folder))
+        receiver = stack.enter_context(_receiver(address, folder, fsync))
         session = stack.enter_context(open_session(connect=address, timeout=START_SECONDS))
         uploader = stack.enter_context(ChunkUploader(session, RUN, ACTOR, new_incarnation(), capacity=64))
         deadline = time.monotonic() + ROUND_TRIP_SECONDS
@@ -71,7 +80,7 @@ def small_storm(folder: Path, chunks: int) -> Outcome:
         killed_at = time.monotonic()
         receiver.kill()
         receiver.wait()
-        stack.enter_context(_receiver(address, folder))
+        stack.enter_context(_receiver(address, folder, fsync))
         while uploader.statistics().acknowledged <= before and time.monotonic() < deadline:
             time.sleep(0.01)
         stall = time.monotonic() - killed_at
@@ -124,10 +133,10 @@ def _submit(uploader: ChunkUploader, numbers: range, deadline: float) -> None:
 
 
 @contextlib.contextmanager
-def _receiver(address: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+def _receiver(address: str, folder: Path, fsync: str) -> Iterator[subprocess.Popen[str]]:
     """A light learner in a process of its own, ready; gone when the block ends."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "athrl.doctor.light_learner", address, str(folder)],
+        [sys.executable, "-m", "athrl.doctor.light_learner", address, str(folder), fsync],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -1,0 +1,124 @@
+"""Whether the disk that the run will use can be written, has room, and is fast enough."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from athrl_protocol.run_file import RunFile
+
+from athrl.doctor.finding import Finding, failed, ok, warning
+from athrl.runs import run_folder
+
+LOG_BYTES_PER_TRANSITION, CHECKPOINT_BYTES = 512, 12 * 2**20
+SLOW_SYNC_SECONDS = 0.05
+SLOW_MEBIBYTES_PER_SECOND = 10.0
+"""What 20,000 transitions a second write into the log."""
+_SYNCS, _SYNC_BYTES = 15, 2**16
+_WRITTEN_BYTES, _BLOCK_BYTES = 32 * 2**20, 2**20
+
+
+def run_place(settings: RunFile) -> Path:
+    """Return the run's folder, or the nearest one around it that is there: it is on the run's disk."""
+    folder = run_folder(settings).absolute()
+    return next(path for path in (folder, *folder.parents) if path.is_dir())
+
+
+def scratch_folder(place: Path) -> AbstractContextManager[str]:
+    """Make a folder on the disk of `place` that is gone at the end; entering raises OSError."""
+    return tempfile.TemporaryDirectory(dir=place, prefix=".athrl-doctor-")
+
+
+def room_left(settings: RunFile, place: Path) -> int:
+    """Return bytes that the log may still take, beside what is reserved for checkpoints."""
+    return _free_bytes(place) - round(settings.durability.reserve_mebibytes * 2**20)
+
+
+def disk(settings: RunFile) -> Iterator[Finding]:
+    """Look whether the run's folder can be written, has room, and what bringing data to its disk costs."""
+    place = run_place(settings)
+    try:
+        with scratch_folder(place) as scratch:
+            seconds = _sync_seconds(Path(scratch))
+    except OSError as error:
+        yield failed(
+            "run folder",
+            f"cannot write {place}: {(error.strerror or str(error)).lower()}",
+            "make room, or choose a folder of yours with run.folder",
+        )
+        return
+    yield ok("run folder", f"{place} can be written")
+    yield _room(settings, place)
+    if room_left(settings, place) > 2 * _WRITTEN_BYTES:
+        with scratch_folder(place) as scratch:
+            yield _speed(_bytes_per_second(Path(scratch)) / 2**20)
+    yield _sync_cost(settings, seconds)
+
+
+def _free_bytes(place: Path) -> int:
+    facts = os.statvfs(place)
+    return facts.f_bavail * facts.f_frsize
+
+
+def _room(settings: RunFile, place: Path) -> Finding:
+    free = _free_bytes(place)
+    reserve = settings.durability.reserve_mebibytes * 2**20
+    log = settings.replay.capacity * LOG_BYTES_PER_TRANSITION
+    needed = reserve + log + (settings.learner.checkpoints_kept + 2) * CHECKPOINT_BYTES
+    seen = f"{free / 2**30:.1f} GiB free, a run takes about {needed / 2**30:.1f}"
+    if free < reserve:
+        return failed("disk", seen, "intake would pause at once: make room, or choose another run.folder")
+    if free < needed:
+        return warning("disk", seen, "intake will pause when the disk is full: make room")
+    return ok("disk", seen)
+
+
+def _sync_seconds(folder: Path) -> float:
+    """Return the median time in which a little data comes to the disk; raises OSError."""
+    seconds = []
+    descriptor = os.open(folder / "sync", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    try:
+        for _ in range(_SYNCS):
+            os.write(descriptor, bytes(_SYNC_BYTES))
+            began = time.perf_counter()
+            os.fsync(descriptor)
+            seconds.append(time.perf_counter() - began)
+    finally:
+        os.close(descriptor)
+    return statistics.median(seconds)
+
+
+def _bytes_per_second(folder: Path) -> float:
+    """Return how fast much data comes to the disk; random, as some disks compress; raises OSError."""
+    block = os.urandom(_BLOCK_BYTES)
+    descriptor = os.open(folder / "speed", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    try:
+        began = time.perf_counter()
+        for _ in range(_WRITTEN_BYTES // _BLOCK_BYTES):
+            os.write(descriptor, block)
+        os.fsync(descriptor)
+        return _WRITTEN_BYTES / (time.perf_counter() - began)
+    finally:
+        os.close(descriptor)
+
+
+def _speed(mebibytes: float) -> Finding:
+    seen = f"{mebibytes:.0f} MiB/s"
+    if mebibytes < SLOW_MEBIBYTES_PER_SECOND:
+        return warning(
+            "disk speed", seen, "many actors will wait for it: choose another disk with run.folder"
+        )
+    return ok("disk speed", seen)
+
+
+def _sync_cost(settings: RunFile, seconds: float) -> Finding:
+    how = settings.durability.fsync
+    seen = f"{seconds * 1000:.1f} ms, durability.fsync is {how!r}"
+    if seconds > SLOW_SYNC_SECONDS and how == "acknowledgement":
+        return warning("fsync", seen, "actors will wait for the disk: set durability.fsync=interval")
+    return ok("fsync", seen)
