@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
-    from .drivers import BlindRouteFollower, Driver, RandomDriver, RuleBasedDriver, make_driver
-    from .envs import TownEnv, TownVectorEnv
-    from .highway import accelerate
-    from .scene import Scene, VehiclePose, lane_polylines
+    from athrl_driving.drivers import BlindRouteFollower, Driver, RandomDriver, RuleBasedDriver, make_driver
+    from athrl_driving.envs import TownEnv, TownVectorEnv
+    from athrl_driving.highway import accelerate
+    from athrl_driving.scene import Scene, VehiclePose, lane_polylines
 
 __all__ = [
     "BlindRouteFollower",

@@ -1,12 +1,14 @@
 """How kernels are compiled and where their machine code is kept.
 
 numba keeps a function's machine code as long as its own file stays the same, although the functions that
-it calls are compiled into it. So it is kept in a folder named after the content of all kernels' files.
+it calls are compiled into it. So it is kept in a folder named after the content of all kernels' files, and
+after the processor and the versions of Python and numba, without whose like it cannot be used.
 """
 
 import hashlib
 import logging
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +18,7 @@ from typing import Any, TypeVar
 
 import numba
 from filelock import FileLock, Timeout
+from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -90,22 +93,21 @@ def _kept(function: Function, **options: Any) -> Function:
         numba.config.CACHE_DIR = kept
 
 
-def announce_compilation(kernel: Callable[..., Any], seconds: int) -> None:
-    """Say, in one logged line, that `kernel` (decorated with `compiled`) is about to be compiled.
+def prepare(kernel: Callable[..., Any], *arguments: Any) -> None:
+    """Compile a kernel (decorated with `compiled` or `entry`) for such arguments, or load it; do not call it.
 
-    Nothing is said when its machine code is there already. `seconds` is about how long it takes.
+    What Python calls only later, in the middle of an episode, is prepared where compilation is announced.
     """
-    if not _is_compiled(kernel):
-        # A warning, because that is what Python shows where no logging has been configured.
-        _LOG.warning("compiling the simulation: once per installation, about %d s", seconds)
+    kernel.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
 
 
 @contextmanager
-def compiled_once(kernel: Callable[..., Any], seconds: int) -> Iterator[None]:
-    """Announce that `kernel` is compiled in this block, which must call it, unless another process does so.
+def compiled_once(kernel: Callable[..., Any], what: str, seconds: int) -> Iterator[None]:
+    """Announce that `what` is compiled in this block, unless its machine code is there already.
 
-    Processes that start together would all compile the same and be slow at it: the others wait for the first
-    one and take its machine code.
+    The block must compile `kernel`, and after everything else, as its machine code tells that all is there.
+    `seconds` is about how long it takes. Processes that start together would all compile the same and be slow
+    at it: the others wait for the first one and take its machine code.
     """
     if _is_compiled(kernel):
         yield
@@ -116,10 +118,20 @@ def compiled_once(kernel: Callable[..., Any], seconds: int) -> Iterator[None]:
     except Timeout:
         _LOG.warning("another process compiles for more than %g s; not waiting longer", LONGEST_COMPILATION)
     try:
-        announce_compilation(kernel, seconds)
+        if not _is_compiled(kernel):
+            _announce(_family(kernel), what, seconds)
         yield
     finally:
         lock.release()
+
+
+def _announce(family: str, what: str, seconds: int) -> None:
+    """Say that a family of kernels is about to be compiled."""
+    how_often = "once per installation"
+    if _lasting_folder(family) is None:
+        how_often = "at every start, as no folder to keep it in can be written: set NUMBA_CACHE_DIR to one"
+    # A warning, because that is what Python shows where no logging has been configured.
+    _LOG.warning("compiling %s: about %d s, %s", what, seconds, how_often)
 
 
 def _is_compiled(kernel: Callable[..., Any]) -> bool:
@@ -139,17 +151,23 @@ def cache_folder(family: str = "town") -> str:
     Where none of them can be written it is a temporary folder of this process alone. `family` is "town" or
     "highway": changes to one of them leave the other's machine code alone.
     """
+    return _lasting_folder(family) or tempfile.mkdtemp(prefix="athrl-compiled-")
+
+
+def _lasting_folder(family: str) -> str | None:
+    """Return the folder whose machine code the next process finds; None where none can be written."""
     name = f"athrl_driving-{family}-{_fingerprint(family)}"
     user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     places = [os.environ.get("NUMBA_CACHE_DIR"), str(_PACKAGE / "__pycache__"), user_cache]
     for place in places:
         if place and _is_writable(Path(place) / name):
             return str(Path(place) / name)
-    return tempfile.mkdtemp(prefix="athrl-compiled-")
+    return None
 
 
 def _fingerprint(family: str) -> str:
-    digest = hashlib.sha256()
+    machine = (get_host_cpu_name(), sys.implementation.cache_tag, numba.__version__)
+    digest = hashlib.sha256(repr(machine).encode())
     for pattern in _COMMON + _KERNEL_FILES[family]:
         for path in sorted(_PACKAGE.glob(pattern)):
             digest.update(path.name.encode())

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .compilation import compiled
+from athrl_driving.compilation import compiled
 
 FAST_SPEED = 8.0
 """Speed along the route above which a tick costs, m/s."""

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .errors import DrivingError
-from .maps import lane_pose
-from .traffic.state import Traffic
+from athrl_driving.errors import DrivingError
+from athrl_driving.maps import lane_pose
+from athrl_driving.traffic.state import Traffic
 
 SCENARIOS: dict[str, dict[str, Any]] = {
     # Into the two-lane ring from the south, past two exits, and out at the third, to the left.
@@ -19,6 +19,7 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "destination": ("Circle Road West", 1, 60.0),
         "traffic_near": (0.0, 0.0, 150.0),
         "vehicles_count": 30,
+        "episode_ticks": 1000,
     },
     # Along a straight street with a lane in each direction.
     "athrl/OncomingTraffic-v0": {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .maps import load_town
+from athrl_driving.maps import load_town
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from athrl_driving import compilation
+from athrl_driving.highway.acceleration import accelerate
 
 
 def folder() -> str:
@@ -56,7 +57,7 @@ def small(x):
 print("ready", flush=True)
 while not Path(sys.argv[1]).exists():
     time.sleep(0.01)
-with compilation.compiled_once(small, 1):
+with compilation.compiled_once(small, "what is small", 1):
     small(1)
     time.sleep(0.5)
 print("compiled" if small.stats.cache_misses else "loaded")
@@ -79,3 +80,87 @@ def test_of_processes_that_start_together_one_compiles_and_the_others_take_its_c
     start.touch()
     said = sorted(process.communicate(timeout=60)[0].strip() for process in processes)
     assert said == ["compiled", "loaded", "loaded"]
+
+
+def test_the_announcement_names_what_is_compiled_and_how_often(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    def said() -> list[str]:
+        caplog.clear()
+        with compilation.compiled_once(accelerate, "some thing", 7):
+            pass
+        return caplog.messages
+
+    monkeypatch.setattr(compilation, "cache_folder", lambda family: str(tmp_path))
+    assert said() == ["compiling some thing: about 7 s, once per installation"]
+    monkeypatch.setattr(compilation, "_lasting_folder", lambda family: None)
+    assert said() == [
+        "compiling some thing: about 7 s, at every start, as no folder to keep it in can be written: "
+        "set NUMBA_CACHE_DIR to one"
+    ]
+    (tmp_path / "acceleration.accelerate-1.py311.1.nbi").touch()
+    assert said() == []
+
+
+_WATCH = """
+import gc
+import gymnasium, highway_env
+from numba.core.dispatcher import Dispatcher
+import athrl_driving
+
+def known():
+    return {
+        (kernel.py_func.__module__, kernel.py_func.__qualname__, signature)
+        for kernel in gc.get_objects()
+        if isinstance(kernel, Dispatcher)
+        for signature in kernel.overloads
+        if kernel.py_func.__module__.startswith("athrl_driving")
+    }
+"""
+
+_FIRST_STEPS = {
+    "town": """
+env = gymnasium.make("athrl/Town03-v0")
+driver = athrl_driving.make_driver("rule-based")
+before = known()
+env.reset(seed=0)
+driver.reset(env, 0)
+ended = False
+while not ended:
+    _, _, terminated, truncated, info = env.step(driver.act(env))
+    env.unwrapped.scene()
+    ended = terminated or truncated
+""",
+    "vector": """
+envs = gymnasium.make_vec("athrl/Town03-v0", num_envs=8, vectorization_mode="vector_entry_point", threads=2)
+before = known()
+envs.reset(seed=0)
+for _ in range(126):
+    infos = envs.step(envs.action_space.sample())[-1]
+    assert envs.scene(3)
+envs.close()
+""",
+    "accelerate": """
+envs = [gymnasium.make(name) for name in ("highway-v0", "intersection-v1", "racetrack-v0", "roundabout-v0")]
+athrl_driving.accelerate(envs[0])
+before = known()
+for env in envs:
+    athrl_driving.accelerate(env).reset(seed=0)
+    for _ in range(3):
+        env.step(env.action_space.sample())
+    road = env.unwrapped.road
+    road.neighbour_vehicles(env.unwrapped.vehicle)
+    road.network.get_closest_lane_index(env.unwrapped.vehicle.position, 0.0)
+""",
+}
+
+
+@pytest.mark.parametrize("what", _FIRST_STEPS)
+def test_nothing_is_compiled_after_the_environment_is_there(what: str) -> None:
+    script = _WATCH + _FIRST_STEPS[what] + "assert before\nprint(sorted(known() - before))"
+    result = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", script],
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.strip() == "[]"

@@ -302,7 +302,36 @@ def test_scene_shows_everybody() -> None:
         ({"vehicle_count": 5}, "no setting 'vehicle_count', did you mean 'vehicles_count'"),
         ({"image_size": 0}, "image_size is 0, it should be a whole number from 8 to 512"),
         ({"waypoint_half_angle": "wide"}, "waypoint_half_angle is 'wide', it should be a number"),
-        ({"town": "atlantis"}, "atlantis"),
+        ({"town": "atlantis"}, "no town named 'atlantis'. There are town02, town03, town04"),
+        ({"town": "Town3"}, "no town named 'Town3', did you mean 'town03'?"),
+        ({"town": 3}, "town is 3, it should be one of town02, town03, town04, or the path"),
+        ({"window_side": "wide"}, "window_side is 'wide', it should be a number from 4 to 1000"),
+        ({"lidar_rays": 7.5}, "lidar_rays is 7.5, it should be a whole number from 4 to 7200"),
+        ({"lidar_range": float("nan")}, "lidar_range is nan, it should be a number"),
+        (
+            {"ego_above_lower_edge": 40},
+            "ego_above_lower_edge is 40, it should be from 0 to the window",
+        ),
+        ({"screen_width": -1}, "screen_width is -1, it should be a whole number from 16 to 10000"),
+        ({"scaling": 0}, "scaling is 0, it should be a number from 0.1 to 1000"),
+        ({"centering_position": [0.5]}, "centering_position is [0.5], it should be two numbers from 0 to 1"),
+        ({"show_trajectories": "no"}, "show_trajectories is 'no', it should be False or True"),
+        ({"offscreen_rendering": 0}, "offscreen_rendering is 0, it should be None, False or True"),
+        ({"observation": {"type": "Kinematics"}}, "it should be {'type': 'BirdEyeObservation'}"),
+        ({"action": {"type": "DiscreteMetaAction"}}, "it should be {'type': 'WaypointAction'}"),
+        (
+            {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"},
+            "it should stay 'highway",
+        ),
+        ({"manual_control": True}, "manual_control is True, it should stay False"),
+        ({"neighbour_vehicles_connected_lanes": True}, "it should stay False: a town's vehicles see"),
+        (
+            {"policy_frequency": 1},
+            "policy_frequency is 1, it should be 2.5: simulation_frequency / ticks",
+        ),
+        ({"start": ("Circle Road South", "1", 5.0)}, "it should be None or (road name, lane id, metres"),
+        ({"traffic_near": (0, 0)}, "it should be None or (x, y, radius) in metres"),
+        ({7: 1}, "the environment has no setting 7"),
     ],
 )
 def test_a_wrong_setting_is_refused_in_one_line(setting: dict, message: str) -> None:
@@ -310,6 +339,33 @@ def test_a_wrong_setting_is_refused_in_one_line(setting: dict, message: str) -> 
         TownEnv(config=setting)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+class NoValue:
+    """What no setting can be."""
+
+
+@pytest.mark.parametrize("key", sorted(TownEnv.default_config()))
+def test_no_setting_is_taken_and_ignored(key: str) -> None:
+    with pytest.raises(ValueError, match=rf"the setting {key} is <.*NoValue object at .*>, it should"):
+        TownEnv(config={key: NoValue()})
+
+
+def test_the_settings_of_an_environment_make_another_one_like_it() -> None:
+    env = new_env(ticks_per_decision=2, simulation_frequency=20)
+    other = TownEnv(config=env.config)
+    assert other.config == env.config
+    assert other.config["policy_frequency"] == 10
+    assert TownEnv(config={"vehicles_count": np.int64(3)}).config["vehicles_count"] == 3
+
+
+def test_a_town_that_there_is_not_leaves_the_environment_as_it_was() -> None:
+    env = new_env()
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="atlantis"):
+        env.reset(options={"config": {"town": "atlantis"}})
+    assert env.config["town"] == "town03"
+    env.reset(seed=1)
 
 
 @pytest.mark.parametrize("show_trajectories", [False, True])

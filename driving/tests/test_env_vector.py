@@ -91,6 +91,26 @@ def test_an_environment_does_not_feel_its_company(
     vector.close()
 
 
+@pytest.mark.parametrize(("threads", "work"), [(1, 1), (2, 2), (3, 3), (4, 3), (99, 3)])
+def test_threads_are_a_bound_and_each_has_four_environments_at_least(threads: int, work: int) -> None:
+    vector = new_vector(14, threads=threads)
+    assert vector.threads == work
+    sizes = [end - begin for begin, end in vector.episodes.chunks]
+    assert len(sizes) == work
+    assert sum(sizes) == 14
+    assert min(sizes) >= 4
+    vector.close()
+
+
+def test_without_a_number_there_is_a_thread_for_each_core_of_the_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: {0, 3, 5})
+    vector = new_vector(64)
+    assert vector.threads == 3
+    vector.close()
+
+
 def test_make_vec_makes_it() -> None:
     vector = gymnasium.make_vec(
         "athrl/Town03-v0",
@@ -162,7 +182,11 @@ def test_an_ended_episode_waits_for_its_reset() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: TownVectorEnv(0), "num_envs is 0, it should be 1 or more"),
+        (lambda: TownVectorEnv(0), "num_envs is 0, it should be a whole number, 1 or more"),
+        (lambda: TownVectorEnv(1, threads=0), "threads is 0, it should be a whole number, 1 or more"),
+        (lambda: TownVectorEnv(1, threads=-2), "threads is -2, it should be a whole number, 1 or more"),
+        (lambda: TownVectorEnv(1, threads=1.5), "threads is 1.5, it should be a whole number, 1 or more"),
+        (lambda: TownVectorEnv(1, threads=True), "threads is True, it should be a whole number, 1 or more"),
         (lambda: TownVectorEnv(1, config={"vehicle_count": 1}), "did you mean 'vehicles_count'"),
         (lambda: new_vector().reset(seed=[1, 2]), "2 seeds were given, there should be one for each of 5"),
         (

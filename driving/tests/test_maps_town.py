@@ -170,7 +170,9 @@ def test_lanes_are_named_as_in_the_file(town: Town) -> None:
 
 
 def test_an_unknown_town_is_refused_with_those_there_are() -> None:
-    with pytest.raises(ValueError, match=r"no town named 'town99'; choose one of: .*town03.*\.xodr"):
+    with pytest.raises(
+        ValueError, match=r"no town named 'town99', did you mean 'town0\d'\? There are .*town03.*xodr"
+    ):
         load_town("town99")
 
 

@@ -72,8 +72,8 @@ class Drive:
     ) -> None:
         _note(self.metrics, 1, speed, heading, time_to_collision, red_light, collision, left_lane, arrived)
 
-    def summary(self, truncated: bool = True) -> dict[str, float]:
-        return summary(self.metrics, 1, truncated=truncated)
+    def summary(self, lasted: bool = True) -> dict[str, float]:
+        return summary(self.metrics, 1, lasted=lasted)
 
 
 def driven(speeds: NDArray, headings: NDArray) -> dict[str, float]:
@@ -102,7 +102,7 @@ def test_infractions_cost_what_the_leaderboard_takes() -> None:
     drive = Drive(speed=8.0, goal=80.0)
     for tick in range(50):
         drive.tick(8.0, red_light=tick in (3, 20), collision=1 if tick == 49 else 0)
-    result = drive.summary(truncated=False)
+    result = drive.summary(lasted=False)
     assert result["infraction_penalty"] == pytest.approx(0.60 * 0.70 * 0.70)
     assert result["driving_score"] == pytest.approx(0.5 * 0.60 * 0.70 * 0.70)
     assert (result["red_lights"], result["crash"], result["success"]) == (2.0, 1.0, 0.0)
@@ -116,15 +116,15 @@ def test_infractions_cost_what_the_leaderboard_takes() -> None:
 def test_ends_are_told_apart() -> None:
     left = Drive(speed=5.0)
     left.tick(5.0, left_lane=True)
-    assert left.summary(truncated=False)["out_of_road"] == 1.0
-    assert left.summary(truncated=False)["success"] == 0.0
+    assert left.summary(lasted=False)["out_of_road"] == 1.0
+    assert left.summary(lasted=False)["success"] == 0.0
     arrived = Drive(speed=5.0)
     arrived.tick(5.0, arrived=True)
-    assert arrived.summary(truncated=False)["success"] == 1.0
-    assert arrived.summary(truncated=False)["driving_score"] == 1.0
+    assert arrived.summary(lasted=False)["success"] == 1.0
+    assert arrived.summary(lasted=False)["driving_score"] == 1.0
     unfinished = Drive(speed=5.0)
     unfinished.tick(5.0)
-    assert unfinished.summary(truncated=False)["success"] == 0.0
+    assert unfinished.summary(lasted=False)["success"] == 0.0
 
 
 def test_time_to_collision_is_the_least_and_its_share() -> None:

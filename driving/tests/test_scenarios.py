@@ -1,6 +1,7 @@
 """The case studies put the ego where something happens, and can be driven."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -108,6 +109,18 @@ def test_same_seed_gives_the_same_scene_at_the_same_place(name: str) -> None:
     before = others.x.copy()
     second.reset(seed=2)
     assert not np.array_equal(before, second.road.background.x)
+
+
+def test_vehicles_that_do_not_fit_are_told_how_many_would_there() -> None:
+    env = TownEnv(config=SCENARIOS["athrl/UnprotectedLeft-v0"])
+    with pytest.raises(ValueError, match="within 140 m") as error:
+        env.reset(options={"config": {"vehicles_count": 500}})
+    message = (
+        r"vehicles_count is 500, but within 140 m of \(165, 0\) \(traffic_near\) there is room for (\d+)"
+    )
+    found = re.match(message, str(error.value))
+    assert found, error.value
+    env.reset(options={"config": {"vehicles_count": int(found[1]) - 10}})
 
 
 def test_place_without_lanes_is_refused() -> None:

@@ -1,7 +1,7 @@
 """The low level: PID controllers that turn a target speed and a waypoint into acceleration and steering."""
 
-from .pid import Pid
-from .waypoint import (
+from athrl_driving.control.pid import Pid
+from athrl_driving.control.waypoint import (
     MAXIMUM_ACCELERATION,
     MAXIMUM_STEERING,
     WHEEL_ANGLE_PER_STEERING,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled
+from athrl_driving.compilation import compiled
 
 ERROR_SUM, LAST_ERROR = 0, 1
 """Places in a controller's memory, float64 [2]; the last error is NaN before the first step."""

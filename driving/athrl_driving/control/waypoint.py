@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled
-from .pid import Pid, pid_step
+from athrl_driving.compilation import compiled
+from athrl_driving.control.pid import Pid, pid_step
 
 MAXIMUM_ACCELERATION = 3.0
 """Limit of accelerating and braking, m/s2."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .blind import BlindRouteFollower
-from .driver import Driver
-from .random_driver import RandomDriver
-from .rule_based import RuleBasedDriver
+from athrl_driving.drivers.blind import BlindRouteFollower
+from athrl_driving.drivers.driver import Driver
+from athrl_driving.drivers.random_driver import RandomDriver
+from athrl_driving.drivers.rule_based import RuleBasedDriver
 
 DRIVERS: dict[str, type[Driver]] = {
     "random": RandomDriver,

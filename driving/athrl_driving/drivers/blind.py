@@ -6,9 +6,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs import TownRow
-from .driver import Driver, town_of
-from .pursuit import pursuit_angle
+from athrl_driving.drivers.driver import Driver, town_of
+from athrl_driving.drivers.pursuit import pursuit_angle
+from athrl_driving.envs import TownRow
 
 
 class BlindRouteFollower(Driver):

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs import TownEnv, TownRow
+from athrl_driving.envs import TownEnv, TownRow
 
 DrivenTown = TownEnv | TownRow
 """A town environment, or one environment of a batch of them."""

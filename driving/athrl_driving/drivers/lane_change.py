@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..maps.lane_graph import LaneGraph
-from .driver import DrivenTown
+from athrl_driving.drivers.driver import DrivenTown
+from athrl_driving.maps.lane_graph import LaneGraph
 
 LOOK_AHEAD = 50.0
 """Metres before a lane change at which a driver begins to look."""

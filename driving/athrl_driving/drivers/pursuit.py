@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..control import WHEEL_ANGLE_PER_STEERING, angle_in_frame
-from .driver import DrivenTown
+from athrl_driving.control import WHEEL_ANGLE_PER_STEERING, angle_in_frame
+from athrl_driving.drivers.driver import DrivenTown
 
 
 def pursuit_angle(env: DrivenTown, distance: float) -> float:

@@ -6,8 +6,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs import TownRow
-from .driver import Driver
+from athrl_driving.drivers.driver import Driver
+from athrl_driving.envs import TownRow
 
 
 class RandomDriver(Driver):

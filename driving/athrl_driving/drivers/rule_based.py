@@ -8,12 +8,12 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs import TownRow
-from ..route import CURVATURE
-from .car_following import following_acceleration, is_safe_behind
-from .driver import DrivenTown, Driver, town_of
-from .lane_change import next_lane_change
-from .pursuit import pursuit_angle
+from athrl_driving.drivers.car_following import following_acceleration, is_safe_behind
+from athrl_driving.drivers.driver import DrivenTown, Driver, town_of
+from athrl_driving.drivers.lane_change import next_lane_change
+from athrl_driving.drivers.pursuit import pursuit_angle
+from athrl_driving.envs import TownRow
+from athrl_driving.route import CURVATURE
 
 
 class RuleBasedDriver(Driver):

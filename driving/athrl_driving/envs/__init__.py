@@ -1,10 +1,10 @@
 """gymnasium environments in highway-env's manner."""
 
-from .action import WaypointAction
-from .ego_vehicle import EgoVehicle
-from .observation import BirdEyeObservation
-from .row import TownRow
-from .town_env import TownEnv
-from .vector_env import TownVectorEnv
+from athrl_driving.envs.action import WaypointAction
+from athrl_driving.envs.ego_vehicle import EgoVehicle
+from athrl_driving.envs.observation import BirdEyeObservation
+from athrl_driving.envs.row import TownRow
+from athrl_driving.envs.town_env import TownEnv
+from athrl_driving.envs.vector_env import TownVectorEnv
 
 __all__ = ["BirdEyeObservation", "EgoVehicle", "TownEnv", "TownRow", "TownVectorEnv", "WaypointAction"]

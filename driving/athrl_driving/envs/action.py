@@ -10,10 +10,10 @@ from gymnasium import spaces
 from highway_env.envs.common.action import ActionType
 from numpy.typing import NDArray
 
-from ..episode.drive import take_decision
-from ..errors import DrivingError
-from .ego_vehicle import EgoVehicle
-from .settings import drive_settings
+from athrl_driving.envs.ego_vehicle import EgoVehicle
+from athrl_driving.envs.settings import drive_settings
+from athrl_driving.episode.drive import take_decision
+from athrl_driving.errors import DrivingError
 
 
 class WaypointAction(ActionType):

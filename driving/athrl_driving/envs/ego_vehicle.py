@@ -9,8 +9,8 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from ..control import WaypointController
-from ..episode.ego import (
+from athrl_driving.control import WaypointController
+from athrl_driving.episode.ego import (
     ACCELERATION,
     CONTROL_SIZE,
     EGO_LENGTH,

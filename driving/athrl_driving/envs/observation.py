@@ -9,11 +9,11 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from numpy.typing import NDArray
 
-from ..episode.motion import MOTION_LIMIT
-from ..perception import CHANNELS
+from athrl_driving.episode.motion import MOTION_LIMIT
+from athrl_driving.perception import CHANNELS
 
 if TYPE_CHECKING:
-    from .town_env import TownEnv
+    from athrl_driving.envs.town_env import TownEnv
 
 
 def observation_space(image_size: int) -> spaces.Dict:

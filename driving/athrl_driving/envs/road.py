@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..episode import Episodes
-from ..episode.state import OBSTACLES
-from ..traffic import BackgroundVehicle, TrafficRoad
-from .ego_vehicle import EgoVehicle
+from athrl_driving.envs.ego_vehicle import EgoVehicle
+from athrl_driving.episode import Episodes
+from athrl_driving.episode.state import OBSTACLES
+from athrl_driving.traffic import BackgroundVehicle, TrafficRoad
 
 
 class EpisodeRoad(TrafficRoad):

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from ..episode import Episodes
-from ..episode.ego import ACCELERATION, WHEEL_ANGLE
-from ..reward import REWARD_TERMS
-from ..route import Route
-from ..scene import Scene, VehiclePose
-from .action import WaypointAction
-from .ego_vehicle import EgoVehicle
-from .road import EpisodeRoad
+from athrl_driving.envs.action import WaypointAction
+from athrl_driving.envs.ego_vehicle import EgoVehicle
+from athrl_driving.envs.road import EpisodeRoad
+from athrl_driving.episode import Episodes
+from athrl_driving.episode.ego import ACCELERATION, WHEEL_ANGLE
+from athrl_driving.reward import REWARD_TERMS
+from athrl_driving.route import Route
+from athrl_driving.scene import Scene, VehiclePose
 
 
 class TownRow:

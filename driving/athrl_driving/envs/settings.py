@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
+import os
 from collections.abc import Mapping
 from typing import Any
 
-from ..episode import DriveSettings, Episodes
-from ..episode.starts import RANDOM, Journeys, place_on_map
-from ..errors import DrivingError
-from ..maps import Town, load_town
-from ..perception import EGO_ABOVE_LOWER_EDGE, LIDAR_RANGE, RAYS, WINDOW_SIDE, new_perception
-from ..scenarios import SCENARIOS
+from athrl_driving.episode import DriveSettings, Episodes
+from athrl_driving.episode.starts import RANDOM, Journeys, place_on_map
+from athrl_driving.errors import DrivingError
+from athrl_driving.maps import TOWNS, Town, load_town
+from athrl_driving.perception import EGO_ABOVE_LOWER_EDGE, LIDAR_RANGE, RAYS, WINDOW_SIDE, new_perception
+from athrl_driving.scenarios import SCENARIOS
 
 DEFAULTS: dict[str, Any] = {
     "observation": {"type": "BirdEyeObservation"},
@@ -44,6 +46,13 @@ _PERCEPTION_SETTINGS = ("window_side", "ego_above_lower_edge", "lidar_range", "l
 
 _BOUNDS: dict[str, tuple[type, float, float]] = {
     "vehicles_count": (int, 0, 10_000),
+    "window_side": (float, 4, 1000),
+    "ego_above_lower_edge": (float, 0, 1000),
+    "lidar_range": (float, 0.01, 1000),
+    "lidar_rays": (int, 4, 7200),
+    "screen_width": (int, 16, 10_000),
+    "screen_height": (int, 16, 10_000),
+    "scaling": (float, 0.1, 1000),
     "image_size": (int, 8, 512),
     "episode_ticks": (int, 1, 10**9),
     "ticks_per_decision": (int, 1, 1000),
@@ -52,6 +61,20 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
     "waypoint_radius": (float, 1, 100),
     "waypoint_half_angle": (float, 0.01, math.pi / 2),
 }
+
+_SWITCHES: dict[str, tuple[bool | None, ...]] = {
+    "show_trajectories": (False, True),
+    "render_agent": (False, True),
+    "real_time_rendering": (False, True),
+    "offscreen_rendering": (None, False, True),
+}
+
+_WITHOUT_EFFECT = {
+    "other_vehicles_type": "a town has vehicles of its own kind",
+    "neighbour_vehicles_connected_lanes": "a town's vehicles see across all lanes that are connected",
+    "manual_control": "an action is a target speed and a waypoint, for which there are no keys",
+}
+"""highway-env's settings that a town cannot follow, and why; they stay what they are."""
 
 
 def first_settings(defaults: Mapping[str, Any], scenario: str | None) -> dict[str, Any]:
@@ -78,27 +101,68 @@ def changed_settings(
         raise DrivingError("no map was named: give map='PATH.xodr', an OpenDRIVE file, or the name of a town")
     if map_name is not None and given.setdefault("town", map_name) != map_name:
         raise DrivingError(f"the environment is of {map_name}, but its setting town is {given['town']!r}")
-    for key in given:
+    for key, value in given.items():
         if key not in present:
-            near = difflib.get_close_matches(key, present, n=1)
+            near = difflib.get_close_matches(str(key), present, n=1)
             hint = f", did you mean {near[0]!r}?" if near else ""
             raise DrivingError(f"the environment has no setting {key!r}{hint}")
+        if key in _WITHOUT_EFFECT and value != present[key]:
+            raise DrivingError(
+                f"the setting {key} is {value!r}, it should stay {present[key]!r}: {_WITHOUT_EFFECT[key]}"
+            )
     settings = {**present, **given}
     _check(settings)
     # highway-env's word for decisions per second; it is no setting, but follows from two that are.
     settings["policy_frequency"] = settings["simulation_frequency"] / settings["ticks_per_decision"]
+    _check_policy_frequency(given, settings)
     return settings
 
 
+def _check_policy_frequency(given: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+    """Refuse a frequency that does not follow; settings that were read from an environment contain it."""
+    value, follows = given.get("policy_frequency"), settings["policy_frequency"]
+    if value is not None and value != follows:
+        raise DrivingError(
+            f"the setting policy_frequency is {value!r}, it should be {follows:g}: "
+            f"simulation_frequency / ticks_per_decision, which are the settings to change"
+        )
+
+
 def _check(settings: Mapping[str, Any]) -> None:
-    for key, (kind, low, high) in _BOUNDS.items():
-        value = settings[key]
-        accepted = (int,) if kind is int else (int, float)
-        if isinstance(value, bool) or not isinstance(value, accepted) or not low <= value <= high:
-            noun = "a whole number" if kind is int else "a number"
+    for key, bounds in _BOUNDS.items():
+        _check_number(key, settings[key], *bounds)
+    for key, values in _SWITCHES.items():
+        if not any(settings[key] is value for value in values):
+            choice = ", ".join(map(str, values[:-1])) + f" or {values[-1]}"
+            raise DrivingError(f"the setting {key} is {settings[key]!r}, it should be {choice}")
+    _check_places(settings)
+    centre = settings["centering_position"]
+    if not (_are_numbers(centre) and len(centre) == 2 and all(0 <= value <= 1 for value in centre)):
+        raise DrivingError(
+            f"the setting centering_position is {centre!r}, it should be two numbers from 0 to 1"
+        )
+    for key, expected in (("observation", "BirdEyeObservation"), ("action", "WaypointAction")):
+        if settings[key] != {"type": expected}:
             raise DrivingError(
-                f"the setting {key} is {value!r}, it should be {noun} from {low:g} to {high:g}"
+                f"the setting {key} is {settings[key]!r}, it should be {{'type': {expected!r}}}"
             )
+
+
+def _check_number(key: str, value: Any, kind: type, low: float, high: float) -> None:
+    accepted = numbers.Integral if kind is int else numbers.Real
+    is_number = isinstance(value, accepted) and not isinstance(value, bool)
+    if not is_number or not low <= value <= high:
+        noun = "a whole number" if kind is int else "a number"
+        raise DrivingError(f"the setting {key} is {value!r}, it should be {noun} from {low:g} to {high:g}")
+
+
+def _check_places(settings: Mapping[str, Any]) -> None:
+    """Check the map and the places on it, as far as that goes without the map."""
+    if not isinstance(settings["town"], (str, os.PathLike)):
+        raise DrivingError(
+            f"the setting town is {settings['town']!r}, "
+            f"it should be one of {', '.join(TOWNS)}, or the path of an OpenDRIVE file (.xodr)"
+        )
     for key in ("start", "destination"):
         if settings[key] is not None and not _is_place(settings[key], key == "destination"):
             choice = ', "random"' if key == "destination" else ""
@@ -111,11 +175,6 @@ def _check(settings: Mapping[str, Any]) -> None:
         raise DrivingError(
             f"the setting traffic_near is {near!r}, it should be None or (x, y, radius) in metres"
         )
-    for key, expected in (("observation", "BirdEyeObservation"), ("action", "WaypointAction")):
-        if settings[key] != {"type": expected}:
-            raise DrivingError(
-                f"the setting {key} is {settings[key]!r}, it should be {{'type': {expected!r}}}"
-            )
 
 
 def _is_place(value: Any, may_be_random: bool) -> bool:
@@ -125,14 +184,14 @@ def _is_place(value: Any, may_be_random: bool) -> bool:
         isinstance(value, (tuple, list))
         and len(value) == 3
         and isinstance(value[0], str)
-        and isinstance(value[1], int)
+        and isinstance(value[1], numbers.Integral)
         and _are_numbers(value[1:])
     )
 
 
 def _are_numbers(values: Any) -> bool:
     return isinstance(values, (tuple, list)) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
         for value in values
     )
 

@@ -10,15 +10,15 @@ import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
-from ..episode import BEGIN, DRIVE, SEE, TAKE, TICK, Episodes
-from ..maps import Town
-from ..reward import REWARD_TERMS
-from ..route import Route
-from ..scene import Scene
-from .action import WaypointAction, checked_actions
-from .observation import BirdEyeObservation
-from .row import TownRow
-from .settings import DEFAULTS, changed_settings, first_settings, new_episodes, town_of
+from athrl_driving.envs.action import WaypointAction, checked_actions
+from athrl_driving.envs.observation import BirdEyeObservation
+from athrl_driving.envs.row import TownRow
+from athrl_driving.envs.settings import DEFAULTS, changed_settings, first_settings, new_episodes, town_of
+from athrl_driving.episode import BEGIN, DRIVE, SEE, TAKE, TICK, Episodes
+from athrl_driving.maps import Town
+from athrl_driving.reward import REWARD_TERMS
+from athrl_driving.route import Route
+from athrl_driving.scene import Scene
 
 _REMADE = (
     "viewer",
@@ -66,8 +66,9 @@ class TownEnv(AbstractEnv):
         if self._scenario is not None:
             self.config = first_settings(self.config, self._scenario)
             self._scenario = None
-        super().configure(changed_settings(self.config, config, self._map))
-        self.town: Town = town_of(self.config)
+        settings = changed_settings(self.config, config, self._map)
+        self.town: Town = town_of(settings)  # before they are taken over, as there may be no such town
+        super().configure(settings)
         self._episodes: Episodes | None = None
         self._spaces_are_current = False
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,13 +14,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ..episode import DECIDE
-from ..scene import Scene
-from .action import WaypointAction, checked_actions
-from .observation import observation_space
-from .row import TownRow
-from .settings import changed_settings, first_settings, new_episodes, town_of
-from .town_env import TownEnv
+from athrl_driving.envs.action import WaypointAction, checked_actions
+from athrl_driving.envs.observation import observation_space
+from athrl_driving.envs.row import TownRow
+from athrl_driving.envs.settings import changed_settings, first_settings, new_episodes, town_of
+from athrl_driving.envs.town_env import TownEnv
+from athrl_driving.episode import DECIDE
+from athrl_driving.errors import DrivingError
+from athrl_driving.scene import Scene
 
 Observations = dict[str, NDArray]
 
@@ -27,8 +29,10 @@ Observations = dict[str, NDArray]
 class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     """`num_envs` towns, each of which does exactly what a `TownEnv` with its seed and its actions would do.
 
-    `config`, `map` and `scenario` are those of `TownEnv`; the settings are fixed when it is made. `threads`
-    is how many work at a step, as many as there are cores by default. `autoreset_mode` is gymnasium's: an
+    `config`, `map` and `scenario` are those of `TownEnv`; the settings are fixed when it is made. `threads`,
+    from 1 on, is how many work at a step at most, by default as many as the process has cores. Each has at
+    least four environments, as fewer cost more than they bring: the attribute `threads` tells how many work.
+    The results do not depend on it. `autoreset_mode` is gymnasium's: an
     episode that has ended begins anew at the next step (NEXT_STEP), within the same step (SAME_STEP), or when
     `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED).
     """
@@ -44,18 +48,17 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         threads: int | None = None,
     ) -> None:
         if render_mode is not None:
-            raise ValueError(
+            raise DrivingError(
                 f"render_mode is {render_mode!r}, but a vector of towns does not render: use row(e)"
             )
-        if num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}, it should be 1 or more")
-        self.num_envs = num_envs
+        self.num_envs = _whole_number("num_envs", num_envs)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.config = changed_settings(first_settings(TownEnv.default_config(), scenario), config, map)
         self.town = town_of(self.config)
-        cores = len(os.sched_getaffinity(0))
-        self.episodes = new_episodes(self.config, self.town, num_envs, threads or cores)
+        most = len(os.sched_getaffinity(0)) if threads is None else _whole_number("threads", threads)
+        self.episodes = new_episodes(self.config, self.town, num_envs, most)
+        self.threads = len(self.episodes.chunks)
         self.single_observation_space = observation_space(self.config["image_size"])
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._rows = [TownRow(self.episodes, e, self.config) for e in range(num_envs)]
@@ -208,9 +211,11 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise ValueError(f"reset_mask is {mask!r}, it should be a bool array of {self.num_envs} entries")
+            raise DrivingError(
+                f"reset_mask is {mask!r}, it should be a bool array of {self.num_envs} entries"
+            )
         if not mask.any():
-            raise ValueError("reset_mask names no environment, it should name one at least")
+            raise DrivingError("reset_mask names no environment, it should name one at least")
         return mask
 
     def _spread(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
@@ -219,7 +224,9 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         if isinstance(seed, (int, np.integer)):
             return [int(seed) + e for e in range(self.num_envs)]
         if len(seed) != self.num_envs:
-            raise ValueError(f"{len(seed)} seeds were given, there should be one for each of {self.num_envs}")
+            raise DrivingError(
+                f"{len(seed)} seeds were given, there should be one for each of {self.num_envs}"
+            )
         return seed
 
     def _generator(self, e: int) -> np.random.Generator:
@@ -227,3 +234,10 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         if generator is None:
             generator = self._generators[e] = seeding.np_random()[0]
         return generator
+
+
+def _whole_number(name: str, value: Any) -> int:
+    """Return a number from 1 on; raises DrivingError in one line for anything else."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < 1:
+        raise DrivingError(f"{name} is {value!r}, it should be a whole number, 1 or more")
+    return int(value)

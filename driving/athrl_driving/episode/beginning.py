@@ -1,13 +1,13 @@
 """How an episode begins, compiled."""
 
-from ..compilation import part
-from ..maps.geometry import lane_elevation, lane_pose
-from ..metrics import NO_COLLISION, reset_metrics
-from ..route import lanes_ahead, start_route
-from ..traffic.spawn import place_with
-from .ego import X, Y, place_ego
-from .orders import Orders
-from .state import Progress, Views
+from athrl_driving.compilation import part
+from athrl_driving.episode.ego import X, Y, place_ego
+from athrl_driving.episode.orders import Orders
+from athrl_driving.episode.state import Progress, Views
+from athrl_driving.maps.geometry import lane_elevation, lane_pose
+from athrl_driving.metrics import NO_COLLISION, reset_metrics
+from athrl_driving.route import lanes_ahead, start_route
+from athrl_driving.traffic.spawn import place_with
 
 CLEARANCE = 8.0
 """No vehicle's centre is within this distance (m) of the ego's when an episode begins."""

@@ -5,20 +5,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..by_reference import by_reference
-from ..compilation import compiled, entry, part
-from ..maps.lane_graph import Floats
-from ..metrics import environment_metrics
-from ..perception import draw_surroundings
-from ..route import environment_route
-from ..traffic.state import environment_traffic
-from ..traffic.tick import advance
-from .beginning import begin, clear_decision
-from .ego import HEADING, TARGET_SPEED, WAYPOINT_X, WAYPOINT_Y, X, Y
-from .motion import note_motion
-from .orders import BEGIN, DRIVE, LOOK, SEE, START, TAKE, TICK, Orders
-from .state import DriveSettings, EpisodeState, Progress, Views
-from .tick import tick
+from athrl_driving.by_reference import by_reference
+from athrl_driving.compilation import compiled, entry, part
+from athrl_driving.episode.beginning import begin, clear_decision
+from athrl_driving.episode.ego import HEADING, TARGET_SPEED, WAYPOINT_X, WAYPOINT_Y, X, Y
+from athrl_driving.episode.motion import note_motion
+from athrl_driving.episode.orders import BEGIN, DRIVE, LOOK, SEE, START, TAKE, TICK, Orders
+from athrl_driving.episode.state import DriveSettings, EpisodeState, Progress, Views
+from athrl_driving.episode.tick import tick
+from athrl_driving.maps.lane_graph import Floats
+from athrl_driving.metrics import environment_metrics
+from athrl_driving.perception import draw_surroundings
+from athrl_driving.route import environment_route
+from athrl_driving.traffic.state import environment_traffic
+from athrl_driving.traffic.tick import advance
 
 
 @entry

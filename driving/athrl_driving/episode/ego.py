@@ -6,9 +6,9 @@ its bumpers, and that brakes stop the car and do not push it backwards.
 
 import math
 
-from ..compilation import compiled
-from ..control import WHEEL_ANGLE_PER_STEERING, acceleration_command, steering_command
-from ..maps.lane_graph import Floats
+from athrl_driving.compilation import compiled
+from athrl_driving.control import WHEEL_ANGLE_PER_STEERING, acceleration_command, steering_command
+from athrl_driving.maps.lane_graph import Floats
 
 X, Y, HEADING, SPEED, LENGTH, WIDTH, ELEVATION, PRESENT, EGO_SIZE = range(9)
 """Places in `ego`, float64 [8]: m, m, rad, m/s, m, m, m, and 1.0 where there is an ego."""

@@ -10,18 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled_once
-from ..errors import DrivingError
-from ..maps import Town
-from ..metrics import summary
-from ..perception import Perception
-from ..reward import REWARD_TERMS
-from ..scenarios import places_near
-from .drive import drive
-from .orders import LOOK, SEE, START, new_orders
-from .pinned import Pinned
-from .starts import Journeys
-from .state import DriveSettings, EpisodeState, new_state
+from athrl_driving.compilation import compiled_once
+from athrl_driving.control import angle_in_frame
+from athrl_driving.episode.drive import drive
+from athrl_driving.episode.orders import LOOK, SEE, START, new_orders
+from athrl_driving.episode.pinned import Pinned
+from athrl_driving.episode.starts import Journeys
+from athrl_driving.episode.state import DriveSettings, EpisodeState, new_state
+from athrl_driving.errors import DrivingError
+from athrl_driving.maps import Town
+from athrl_driving.metrics import prepare_summary, summary
+from athrl_driving.perception import Perception
+from athrl_driving.reward import REWARD_TERMS
+from athrl_driving.route import Route
+from athrl_driving.scenarios import places_near
 
 ROWS_PER_THREAD = 4
 """Environments below which another thread costs more than it brings."""
@@ -35,7 +37,8 @@ class Episodes:
     What happens in an environment depends on its seed and its actions alone: not on the others, on how many
     there are or on the number of threads.
 
-    `traffic_near` (x, y, radius, m) is where vehicles may start, anywhere without it.
+    `traffic_near` (x, y, radius, m) is where vehicles may start, anywhere without it. `threads` is how many
+    work at most, with `ROWS_PER_THREAD` environments each at least; how many do is `len(self.chunks)`.
     """
 
     def __init__(
@@ -60,11 +63,16 @@ class Episodes:
         self._orders = new_orders(environments, self.state.traffic.rails.start_link.size)
         self._pinned: tuple[Any, Any] = Pinned(self.state), Pinned(self._orders)
         self._journeys = journeys
+        self._traffic_near = traffic_near
         threads = max(1, min(threads, environments // ROWS_PER_THREAD))
         edges = [environments * chunk // threads for chunk in range(threads + 1)]
-        self._chunks = list(itertools.pairwise(edges))
+        self.chunks = list(itertools.pairwise(edges))
+        """The environments of each thread: the first, and the first of the next."""
         self._pool = ThreadPoolExecutor(threads - 1, "athrl-drive") if threads > 1 else None
-        with compiled_once(drive, _COMPILE_SECONDS):
+        with compiled_once(drive, "the towns", _COMPILE_SECONDS):
+            prepare_summary(self.state.metrics)
+            Route.prepare(town.graph, self.state.routes)
+            angle_in_frame(0.0, 0.0, 0.0, (0.0, 0.0))
             self.work(0)
 
     def __len__(self) -> int:
@@ -93,7 +101,13 @@ class Episodes:
         self._do()
         vehicles, placed = self.state.traffic.background.lane.shape[1], orders.placed[rows].min(initial=10**9)
         if placed < vehicles:
-            raise DrivingError(f"vehicles_count is {vehicles}, but the town has room for {placed} at most")
+            where = "in the town"
+            if self._traffic_near is not None:
+                x, y, radius = self._traffic_near
+                where = f"within {radius:g} m of ({x:g}, {y:g}) (traffic_near)"
+            raise DrivingError(
+                f"vehicles_count is {vehicles}, but {where} there is room for {placed} at most"
+            )
 
     def work(self, work: int | NDArray[np.int64], actions: NDArray[np.float32] | None = None) -> None:
         """Do `work`, int64 [E] or the same in all environments (see `episode.orders`).
@@ -115,8 +129,8 @@ class Episodes:
         if self._pool is None:
             drive(*self._pinned, 0, len(self))
             return
-        others = [self._pool.submit(drive, *self._pinned, first, last) for first, last in self._chunks[1:]]
-        drive(*self._pinned, *self._chunks[0])
+        others = [self._pool.submit(drive, *self._pinned, first, last) for first, last in self.chunks[1:]]
+        drive(*self._pinned, *self.chunks[0])
         wait(others)
         for other in others:
             other.result()
@@ -156,7 +170,8 @@ class Episodes:
 
     def summary(self, e: int) -> dict[str, float]:
         """The metrics of an environment's episode, as docs/metrics.md explains them."""
-        return summary(self.state.metrics, e, truncated=bool(self.state.progress.truncated[e]))
+        lasted = bool(self.state.progress.truncated[e]) and not self._journeys.have_destination
+        return summary(self.state.metrics, e, lasted=lasted)
 
 
 def _masked(columns: Mapping[str, NDArray], rows: NDArray[np.bool_]) -> dict[str, NDArray]:

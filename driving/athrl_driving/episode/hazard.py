@@ -2,12 +2,12 @@
 
 import math
 
-from ..compilation import part
-from ..maps.lane_graph import Floats
-from ..metrics import NO_COLLISION, STATIC_COLLISION, VEHICLE_COLLISION
-from ..traffic.collision import LEVEL_HEIGHT, first_touched, rectangles_touch
-from ..traffic.state import NOBODY, Background
-from .ego import ELEVATION, HEADING, LENGTH, SPEED, WIDTH, X, Y
+from athrl_driving.compilation import part
+from athrl_driving.episode.ego import ELEVATION, HEADING, LENGTH, SPEED, WIDTH, X, Y
+from athrl_driving.maps.lane_graph import Floats
+from athrl_driving.metrics import NO_COLLISION, STATIC_COLLISION, VEHICLE_COLLISION
+from athrl_driving.traffic.collision import LEVEL_HEIGHT, first_touched, rectangles_touch
+from athrl_driving.traffic.state import NOBODY, Background
 
 HORIZON = 5.0
 """Seconds that the time to collision looks ahead; farther ones count as infinite."""

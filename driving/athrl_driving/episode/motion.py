@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import part
-from ..control import MAXIMUM_STEERING
-from ..maps.lane_graph import Floats
-from ..reward import FAST_SPEED
-from .ego import SPEED, STEERING
+from athrl_driving.compilation import part
+from athrl_driving.control import MAXIMUM_STEERING
+from athrl_driving.episode.ego import SPEED, STEERING
+from athrl_driving.maps.lane_graph import Floats
+from athrl_driving.reward import FAST_SPEED
 
 MOTION_LIMIT = 2.0
 """Bound of both entries of `motion`."""

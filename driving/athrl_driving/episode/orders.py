@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..maps.lane_graph import Floats, Integers
-from ..route import PLAN_ROWS
+from athrl_driving.maps.lane_graph import Floats, Integers
+from athrl_driving.route import PLAN_ROWS
 
 START, BEGIN, TAKE, TICK, DRIVE, SEE, LOOK = 1, 2, 4, 8, 16, 32, 64
 """Work, to be added up: start an episode; begin a decision; take its action; drive one tick; drive all its

@@ -17,7 +17,7 @@ from numba.core import types
 from numba.core.base import BaseContext
 from numba.extending import NativeValue, unbox
 
-from ..by_reference import Reference
+from athrl_driving.by_reference import Reference
 
 
 class Pinned:

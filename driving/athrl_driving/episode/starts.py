@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DrivingError
-from ..maps import Town
-from ..metrics import COMPLETION_SPEED
-from ..route import PLAN_ROWS, dead_end_distance, plan_length, shortest_route
-from .ego import EGO_LENGTH
+from athrl_driving.episode.ego import EGO_LENGTH
+from athrl_driving.errors import DrivingError
+from athrl_driving.maps import Town
+from athrl_driving.metrics import COMPLETION_SPEED
+from athrl_driving.route import PLAN_ROWS, dead_end_distance, plan_length, shortest_route
 
 ROOM_BEFORE_DEAD_END = 70.0
 """Metres before the end of a lane that the ego needs for changing to another one."""
@@ -54,6 +54,11 @@ class Journeys:
         self._ends = np.cumsum(room)
         self._start, self._destination = start, destination
         self._random_goal = COMPLETION_SPEED * seconds
+
+    @property
+    def have_destination(self) -> bool:
+        """Whether an episode leads somewhere, or random turns last until its time is up."""
+        return self._destination is not None
 
     def draw(self, generator: np.random.Generator) -> Journey:
         """Draw a journey; raises ValueError where no way leads to the destination."""

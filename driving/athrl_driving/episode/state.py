@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..maps import Town
-from ..maps.lane_graph import Floats, Integers
-from ..metrics import MetricsState, new_metrics
-from ..perception import Perception
-from ..reward import REWARD_TERMS
-from ..route import LANES_AHEAD, RouteState, new_routes
-from ..traffic.state import Traffic, new_traffic
-from .ego import CONTROL_SIZE, EGO_SIZE
+from athrl_driving.episode.ego import CONTROL_SIZE, EGO_SIZE
+from athrl_driving.maps import Town
+from athrl_driving.maps.lane_graph import Floats, Integers
+from athrl_driving.metrics import MetricsState, new_metrics
+from athrl_driving.perception import Perception
+from athrl_driving.reward import REWARD_TERMS
+from athrl_driving.route import LANES_AHEAD, RouteState, new_routes
+from athrl_driving.traffic.state import Traffic, new_traffic
 
 OBSTACLES = 8
 """Things on the road that an episode has room for."""

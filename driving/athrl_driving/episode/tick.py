@@ -1,15 +1,25 @@
 """One tick of an episode, compiled."""
 
-from ..compilation import part
-from ..maps.geometry import lane_elevation, lane_project
-from ..metrics import NO_COLLISION, note_tick
-from ..reward import add_reward_terms, has_left_lane
-from ..route import RouteState, follow, has_arrived, heading_of_nearest_waypoint, lanes_ahead
-from ..traffic.signals import red_light
-from ..traffic.tick import _advance as advance
-from .ego import EGO_WHEELBASE, ELEVATION, HEADING, SPEED, STEERING, X, Y, control_ego, move_ego
-from .hazard import collide, time_to_collision
-from .state import DriveSettings, Progress, Views
+from athrl_driving.compilation import part
+from athrl_driving.episode.ego import (
+    EGO_WHEELBASE,
+    ELEVATION,
+    HEADING,
+    SPEED,
+    STEERING,
+    X,
+    Y,
+    control_ego,
+    move_ego,
+)
+from athrl_driving.episode.hazard import collide, time_to_collision
+from athrl_driving.episode.state import DriveSettings, Progress, Views
+from athrl_driving.maps.geometry import lane_elevation, lane_project
+from athrl_driving.metrics import NO_COLLISION, note_tick
+from athrl_driving.reward import add_reward_terms, has_left_lane
+from athrl_driving.route import RouteState, follow, has_arrived, heading_of_nearest_waypoint, lanes_ahead
+from athrl_driving.traffic.signals import red_light
+from athrl_driving.traffic.tick import _advance as advance
 
 
 @part

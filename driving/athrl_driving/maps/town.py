@@ -1,5 +1,6 @@
 """A town, ready to be driven in, and the towns by name."""
 
+import difflib
 import logging
 import os
 from collections import Counter, defaultdict
@@ -32,6 +33,8 @@ _FOLDER = Path(__file__).parent / "towns"
 
 TOWNS: tuple[str, ...] = tuple(sorted(path.stem for path in _FOLDER.glob("*.xodr")))
 """The names of the towns that the project ships."""
+
+_ROADS_NAMED = 5
 
 _log = logging.getLogger(__name__)
 
@@ -85,9 +88,11 @@ def load_town(name: str | os.PathLike[str]) -> Town:
     if str(name).endswith(".xodr"):
         path = Path(name)
     elif str(name) not in TOWNS:
-        towns = ", ".join(TOWNS)
+        near = difflib.get_close_matches(str(name).lower(), TOWNS, n=1)
+        hint = f", did you mean {near[0]!r}?" if near else "."
         raise MapError(
-            f"there is no town named {str(name)!r}; choose one of: {towns}, or a file's path (.xodr)"
+            f"there is no town named {str(name)!r}{hint} "
+            f"There are {', '.join(TOWNS)}; a file is given by its path (.xodr)"
         )
     try:
         path = path.expanduser().resolve(strict=True)
@@ -156,12 +161,20 @@ def _left_out(pieces: list, rows: Rows) -> tuple[tuple[str, int, float], ...]:
 
 def _report(name: str, drivable: Drivable, left_out: tuple[tuple[str, int, float], ...]) -> None:
     for road, lane, length in left_out:
+        _log.debug("%s: %s, lane %d: %.1f m left out", name, road, lane, length)
+    if left_out:
         _log.info(
-            "%s: %s, lane %d: %.1f m left out, they lead nowhere or nothing leads there",
+            "%s: %.1f m of %d lanes left out, as they lead nowhere or nothing leads there: %s",
             name,
-            road,
-            lane,
-            length,
+            sum(length for *_, length in left_out),
+            len(left_out),
+            _names(sorted({road for road, *_ in left_out})),
         )
     if drivable.opened:
         _log.info("%s: %d changes of lane allowed against the marks", name, drivable.opened)
+
+
+def _names(roads: list[str]) -> str:
+    """The roads' names, the first few of many."""
+    more = f" and {len(roads) - _ROADS_NAMED} more" if len(roads) > _ROADS_NAMED else ""
+    return ", ".join(roads[:_ROADS_NAMED]) + more

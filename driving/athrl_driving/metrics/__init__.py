@@ -1,15 +1,16 @@
 """How well an episode was driven: CARLA's driving score, MetaDrive's rates, nuPlan's comfort and safety."""
 
-from .episode import (
+from athrl_driving.metrics.episode import (
     COMPLETION_SPEED,
     LEAST_TIME_TO_COLLISION,
     LONGEST_TIME_TO_COLLISION,
     PENALTIES,
     note_tick,
+    prepare_summary,
     reset_metrics,
     summary,
 )
-from .state import (
+from athrl_driving.metrics.state import (
     COMFORT_BOUNDS,
     NO_COLLISION,
     STATIC_COLLISION,
@@ -32,6 +33,7 @@ __all__ = [
     "environment_metrics",
     "new_metrics",
     "note_tick",
+    "prepare_summary",
     "reset_metrics",
     "summary",
 ]

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import math
 
-from ..compilation import inlined, inner
-from ..maps.lane_graph import Floats, Integers
-from .state import HEADING, LATERAL, LONGITUDINAL, MAGNITUDE, WINDOW
+from athrl_driving.compilation import inlined, inner
+from athrl_driving.maps.lane_graph import Floats, Integers
+from athrl_driving.metrics.state import HEADING, LATERAL, LONGITUDINAL, MAGNITUDE, WINDOW
 
 LEAST_LONGITUDINAL_ACCELERATION, GREATEST_LONGITUDINAL_ACCELERATION = -4.05, 2.40
 """m/s2"""

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ..compilation import compiled, inlined
-from ..maps.lane_graph import Floats, Integers
-from .comfort import judge, remember
-from .state import COMFORT_BOUNDS, NO_COLLISION, WINDOW, MetricsState
+from athrl_driving.compilation import compiled, inlined, prepare
+from athrl_driving.maps.lane_graph import Floats, Integers
+from athrl_driving.metrics.comfort import judge, remember
+from athrl_driving.metrics.state import COMFORT_BOUNDS, NO_COLLISION, WINDOW, MetricsState
 
 COMPLETION_SPEED = 8.0
 """m/s at which an episode of random turns has to be driven to count as complete."""
@@ -92,9 +92,15 @@ def _judge_end(window: Floats, ticks: int, dt: float, comfortable: Integers) -> 
         judge(window, ticks, WINDOW - ticks, dt, comfortable)
 
 
-def summary(metrics: MetricsState, environment: int, *, truncated: bool) -> dict[str, float]:
-    """Return the metrics of one environment's episode; `truncated` tells that time ended it.
+def prepare_summary(metrics: MetricsState) -> None:
+    """Compile what `summary` calls, or load it."""
+    prepare(_judge_end, metrics.window[0], 0, 0.0, metrics.comfortable[0].copy())
 
+
+def summary(metrics: MetricsState, environment: int, *, lasted: bool) -> dict[str, float]:
+    """Return the metrics of one environment's episode.
+
+    `lasted` tells that it had no destination and went on until its time was up, which then is a success.
     docs/metrics.md explains each. Shares and rates lie within 0..1, a rate being an episode's 0 or 1.
     """
     e = environment
@@ -112,7 +118,7 @@ def summary(metrics: MetricsState, environment: int, *, truncated: bool) -> dict
         "driving_score": completion * penalty,
         "route_completion": completion,
         "infraction_penalty": penalty,
-        "success": float((arrived or truncated) and not crash and not out_of_road),
+        "success": float((arrived or lasted) and not crash and not out_of_road),
         "crash": float(crash),
         "out_of_road": float(out_of_road),
         "red_lights": float(metrics.infractions[e, 2]),

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compilation import inlined
-from ..maps.lane_graph import Floats, Integers
+from athrl_driving.compilation import inlined
+from athrl_driving.maps.lane_graph import Floats, Integers
 
 WINDOW = 15
 """Ticks over which motion is smoothed before jerk and turning are taken from it, as in nuPlan."""

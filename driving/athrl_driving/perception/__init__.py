@@ -1,9 +1,16 @@
 """What the planner sees: a bird's eye view and a lidar image around the ego, drawn by compiled kernels."""
 
-from .drivable import LEVEL_HEIGHT, DrivableMap, draw_drivable_map, drivable_grid
-from .lidar import LIDAR_RANGE, RAYS
-from .perception import CHANNELS, Perception, draw_images, draw_surroundings, lidar_scan, new_perception
-from .window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE
+from athrl_driving.perception.drivable import LEVEL_HEIGHT, DrivableMap, draw_drivable_map, drivable_grid
+from athrl_driving.perception.lidar import LIDAR_RANGE, RAYS
+from athrl_driving.perception.perception import (
+    CHANNELS,
+    Perception,
+    draw_images,
+    draw_surroundings,
+    lidar_scan,
+    new_perception,
+)
+from athrl_driving.perception.window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE
 
 __all__ = [
     "CHANNELS",

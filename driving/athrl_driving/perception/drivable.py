@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled
-from ..maps import LaneGraph, Town
-from ..maps.geometry import lane_pose, lane_project
+from athrl_driving.compilation import compiled
+from athrl_driving.maps import LaneGraph, Town
+from athrl_driving.maps.geometry import lane_pose, lane_project
 
 CELL = 0.5
 """Side of a cell of the town's grid, m."""

@@ -10,10 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined, part
-from ..traffic.state import Background
-from .drivable import LEVEL_HEIGHT
-from .window import Window, column_of, row_of
+from athrl_driving.compilation import inlined, part
+from athrl_driving.perception.drivable import LEVEL_HEIGHT
+from athrl_driving.perception.window import Window, column_of, row_of
+from athrl_driving.traffic.state import Background
 
 RAYS = 180
 """Rays round the ego where nothing else is asked for; 2 degrees apart, 0.7 m at the window's far edge."""

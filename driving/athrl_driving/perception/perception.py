@@ -8,18 +8,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled, inlined
-from ..errors import DrivingError
-from ..maps import Town
-from ..maps.lane_graph import Floats
-from ..route.state import RouteState, environment_route
-from ..traffic.state import Traffic, environment_traffic
-from .drivable import DrivableMap, drivable_grid
-from .lidar import LIDAR_RANGE, RAYS, draw_lidar, measure_distances
-from .route_line import draw_route
-from .surface import draw_surface
-from .vehicles import draw_vehicles
-from .window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE, Window
+from athrl_driving.compilation import compiled, inlined
+from athrl_driving.errors import DrivingError
+from athrl_driving.maps import Town
+from athrl_driving.maps.lane_graph import Floats
+from athrl_driving.perception.drivable import DrivableMap, drivable_grid
+from athrl_driving.perception.lidar import LIDAR_RANGE, RAYS, draw_lidar, measure_distances
+from athrl_driving.perception.route_line import draw_route
+from athrl_driving.perception.surface import draw_surface
+from athrl_driving.perception.vehicles import draw_vehicles
+from athrl_driving.perception.window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE, Window
+from athrl_driving.route.state import RouteState, environment_route
+from athrl_driving.traffic.state import Traffic, environment_traffic
 
 CHANNELS = ("drivable", "vehicles", "route", "lidar")
 """What the channels of the image show, in order."""

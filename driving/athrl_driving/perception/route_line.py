@@ -10,13 +10,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined, part
-from ..maps.lane_graph import Signals
-from ..route.following import piece_pose
-from ..route.state import CURVATURE, LENGTH, START_POSITION, RouteState
-from ..traffic.state import Traffic
-from .drivable import LEVEL_HEIGHT
-from .window import Window, column_of, in_frame, row_of
+from athrl_driving.compilation import inlined, part
+from athrl_driving.maps.lane_graph import Signals
+from athrl_driving.perception.drivable import LEVEL_HEIGHT
+from athrl_driving.perception.window import Window, column_of, in_frame, row_of
+from athrl_driving.route.following import piece_pose
+from athrl_driving.route.state import CURVATURE, LENGTH, START_POSITION, RouteState
+from athrl_driving.traffic.state import Traffic
 
 LINE_REACH = 1.5
 """Pixels from the line's middle to where its brightness has faded to nothing."""

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined, part
-from .drivable import CELL, HEIGHT_UNIT, LEVEL_HEIGHT, TILE, DrivableMap
-from .window import Window
+from athrl_driving.compilation import inlined, part
+from athrl_driving.perception.drivable import CELL, HEIGHT_UNIT, LEVEL_HEIGHT, TILE, DrivableMap
+from athrl_driving.perception.window import Window
 
 _FINE = 65536.0
 

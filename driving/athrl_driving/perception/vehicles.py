@@ -13,11 +13,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined, part
-from ..maps.lane_graph import LaneGraph
-from ..traffic.state import Background
-from .drivable import LEVEL_HEIGHT
-from .window import Window, column_of, forward_of, in_frame, right_of, row_of
+from athrl_driving.compilation import inlined, part
+from athrl_driving.maps.lane_graph import LaneGraph
+from athrl_driving.perception.drivable import LEVEL_HEIGHT
+from athrl_driving.perception.window import Window, column_of, forward_of, in_frame, right_of, row_of
+from athrl_driving.traffic.state import Background
 
 FORESIGHT_INTERVAL = 0.25
 """Time between the drawn places, s."""

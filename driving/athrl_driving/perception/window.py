@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ..compilation import inlined
+from athrl_driving.compilation import inlined
 
 WINDOW_SIDE = 32.0
 """Side of the window where nothing else is asked for, m."""

@@ -3,7 +3,7 @@
 Where the road forks, the way is that of a plan found by search, or turns are drawn at random.
 """
 
-from .following import (
+from athrl_driving.route.following import (
     KEPT_BEHIND,
     LANES_AHEAD,
     WAYPOINT_SPACING,
@@ -17,9 +17,16 @@ from .following import (
     start_routes,
     waypoints,
 )
-from .search import plan_length, shortest_route
-from .state import CURVATURE, PLAN_ROWS, RouteState, dead_end_distance, environment_route, new_routes
-from .view import Route
+from athrl_driving.route.search import plan_length, shortest_route
+from athrl_driving.route.state import (
+    CURVATURE,
+    PLAN_ROWS,
+    RouteState,
+    dead_end_distance,
+    environment_route,
+    new_routes,
+)
+from athrl_driving.route.view import Route
 
 __all__ = [
     "CURVATURE",

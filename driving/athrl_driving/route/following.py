@@ -8,11 +8,11 @@ import numpy as np
 from numba import uint64
 from numpy.typing import NDArray
 
-from ..compilation import compiled, inlined, inner
-from ..maps.geometry import lane_pose, lane_project
-from ..maps.lane_graph import Floats, Integers, LaneGraph
-from .laying import append_piece, extend, laid_position, note_arrival
-from .state import (
+from athrl_driving.compilation import compiled, inlined, inner
+from athrl_driving.maps.geometry import lane_pose, lane_project
+from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
+from athrl_driving.route.laying import append_piece, extend, laid_position, note_arrival
+from athrl_driving.route.state import (
     CURVATURE,
     LENGTH,
     START_HEADING,

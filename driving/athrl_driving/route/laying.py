@@ -6,10 +6,10 @@ import math
 
 from numba import uint64
 
-from ..compilation import inlined, inner
-from ..maps.geometry import lane_pose
-from ..maps.lane_graph import LaneGraph
-from .state import (
+from athrl_driving.compilation import inlined, inner
+from athrl_driving.maps.geometry import lane_pose
+from athrl_driving.maps.lane_graph import LaneGraph
+from athrl_driving.route.state import (
     CURVATURE,
     LENGTH,
     PIECES,

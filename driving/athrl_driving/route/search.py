@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..compilation import compiled, inlined
-from ..errors import DrivingError
-from ..maps.lane_graph import Integers, LaneGraph
+from athrl_driving.compilation import compiled, inlined
+from athrl_driving.errors import DrivingError
+from athrl_driving.maps.lane_graph import Integers, LaneGraph
 
 CHANGE_COST = 30.0
 """Metres of detour that are worth one lane change less."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined
-from ..maps.lane_graph import Floats, Integers, LaneGraph
+from athrl_driving.compilation import inlined
+from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
 
 PIECES = 128
 """Pieces of a route that are known at once, behind and ahead of the ego."""

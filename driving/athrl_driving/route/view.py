@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled
-from ..maps.lane_graph import Integers, LaneGraph
-from .following import (
+from athrl_driving.compilation import compiled, prepare
+from athrl_driving.maps.lane_graph import Integers, LaneGraph
+from athrl_driving.route.following import (
     LANES_AHEAD,
     environment_route,
     follow,
@@ -17,7 +17,7 @@ from .following import (
     start_routes,
     waypoints,
 )
-from .state import LENGTH, START_POSITION, RouteState, new_routes
+from athrl_driving.route.state import LENGTH, START_POSITION, RouteState, new_routes
 
 _NO_PLAN = np.empty(0, dtype=np.int64)
 
@@ -51,6 +51,13 @@ class Route:
         route = cls.of_environment(graph, new_routes(graph, 1), 0)
         start_routes(graph, route.routes, 0, int(plan[0]), start, np.uint64(seed), plan, destination)
         return route
+
+    @staticmethod
+    def prepare(graph: LaneGraph, routes: RouteState) -> None:
+        """Compile what drivers and viewers call, or load it, so that they do not wait for it."""
+        prepare(_waypoints, routes, 0)
+        prepare(_lanes_ahead, graph, routes, 0, np.empty(LANES_AHEAD, dtype=np.int64))
+        prepare(poses_on_route, routes.pieces[0], 0, np.empty(0))
 
     def _see(self, graph: LaneGraph, routes: RouteState, environment: int) -> None:
         self.graph = graph

@@ -12,11 +12,10 @@ import math
 from athrl_driving.compilation import part
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.traffic.columns import NOBODY, Traffic
-from athrl_driving.traffic.following import REFERENCE_LENGTH, approach_speed, idm_acceleration
 from athrl_driving.traffic.geometry import lane_project
-from athrl_driving.traffic.nodes import insert, insert_beside, owner, remove
+from athrl_driving.traffic.lane_change_gain import gain_of_change
+from athrl_driving.traffic.nodes import insert, insert_beside, remove
 from athrl_driving.traffic.paths import plan_from, random_below
-from athrl_driving.traffic.rails import CURVE_BRAKING
 
 CHANGE_TIME = 3.0
 """Seconds that a change takes, as far as the least and the greatest way allow."""
@@ -26,9 +25,6 @@ SHORTEST_CHANGE, LONGEST_CHANGE = 12.0, 25.0
 
 ASKS_AFTER = 3.0
 """Seconds of standing where a lane ends after which a vehicle asks to be let in."""
-
-POLITENESS = 0.3
-"""How much the loss of the vehicle behind counts beside one's own gain."""
 
 LEAST_GAIN = 0.3
 """m/s2 of acceleration for which a vehicle changes."""
@@ -42,23 +38,13 @@ THINKS_EVERY = 1.0
 AGAIN_AFTER = 6.0
 """Seconds from a change's begin to the next thought of one."""
 
-GENTLE_BRAKING = 2.5
-"""m/s2 that a change may ask of whoever is behind."""
-
 BEFORE_A_LINE = 40.0
 """Metres before a link's end where nobody begins a change but for a lane's end."""
 
 CLEAR_OF_THE_EGO = 15.0
 """Metres from the ego, and as many more as it drives in a second, within which nobody begins a change."""
 
-BEHIND_A_JUNCTION = 45.0
-"""Metres from a junction's exit that are kept for those who come out of it."""
-
-_LEAST_GAP = 2.0
-_GAP_TIME = 0.3
-_GAP_MARGIN = 1.5
 _CLEAR_OF_THE_END = 8.0
-_ROOM_AT_THE_LINE = 0.6
 
 
 @part
@@ -78,41 +64,62 @@ def change_lanes(traffic: Traffic, ego: Floats) -> None:
 @part
 def _think(traffic: Traffic, ego: Floats, row: int, lane: int, now: float) -> None:
     """Begin the change to a side that is needed or is worth it."""
-    background, changes, rails = traffic.background, traffic.lane_changes, traffic.rails
-    right_of_way, graph, scratch = traffic.right_of_way, traffic.graph, traffic.scratch
-    way_out = rails.way_out[lane]
-    needed = way_out >= 0
+    changes, right_of_way = traffic.lane_changes, traffic.right_of_way
+    needed = traffic.rails.way_out[lane] >= 0
     changes.next_thought[row] = now + (THINKS_EVERY / 3.0 if needed else THINKS_EVERY)
     _ask_to_be_let_in(traffic, row, lane, now)
-    at = scratch.position[row]
-    rest = rails.length[scratch.link[row]] - at
-    distance = min(max(CHANGE_TIME * background.speed[row], SHORTEST_CHANGE), LONGEST_CHANGE)
+    distance = _distance_of_change(traffic, row, needed)
+    crosses = right_of_way.granted[row] != NOBODY or right_of_way.crossing[row] != NOBODY
+    if distance == 0.0 or crosses or traffic.background.crashed[row]:
+        return
+    if _is_near_ego(traffic, ego, row):
+        changes.asks[row] = False
+        return
+    side = _best_side(traffic, row, lane, distance, needed)
+    if side != NOBODY:
+        _begin(traffic, row, lane, side, distance, now)
+
+
+@part
+def _distance_of_change(traffic: Traffic, row: int, needed: bool) -> float:
+    """Return the metres that a change would take now; 0 where none that is not needed may begin."""
+    speed, position = traffic.background.speed[row], traffic.scratch.position[row]
+    rest = traffic.rails.length[traffic.scratch.link[row]] - position
+    distance = min(max(CHANGE_TIME * speed, SHORTEST_CHANGE), LONGEST_CHANGE)
     if needed:
-        distance = min(distance, max(rest - 1.0, _CLEAR_OF_THE_END))
-    elif rest < distance + BEFORE_A_LINE or background.speed[row] < 1.0:
-        return
-    if right_of_way.granted[row] != NOBODY or right_of_way.crossing[row] != NOBODY or background.crashed[row]:
-        return
-    if ego[7] > 0.0:
-        near = CLEAR_OF_THE_EGO + abs(ego[3])
-        if math.hypot(ego[0] - background.x[row], ego[1] - background.y[row]) < near:
-            changes.asks[row] = False
-            return
+        return min(distance, max(rest - 1.0, _CLEAR_OF_THE_END))
+    if rest < distance + BEFORE_A_LINE or speed < 1.0:
+        return 0.0
+    return distance
+
+
+@part
+def _is_near_ego(traffic: Traffic, ego: Floats, row: int) -> bool:
+    """Tell whether a vehicle is so near to the ego that it leaves its lane to it."""
+    if ego[7] <= 0.0:
+        return False
+    x, y = traffic.background.x[row], traffic.background.y[row]
+    return math.hypot(ego[0] - x, ego[1] - y) < CLEAR_OF_THE_EGO + abs(ego[3])
+
+
+@part
+def _best_side(traffic: Traffic, row: int, lane: int, distance: float, needed: bool) -> int:
+    """Return the side (0 left, 1 right) to which a change gains most, -1 where none gains enough."""
+    graph, rails = traffic.graph, traffic.rails
     best_side, best_gain = NOBODY, LEAST_GAIN
-    urge = not needed and random_below(background, row, 1000) < URGE
+    urge = not needed and random_below(traffic.background, row, 1000) < URGE
     for side in range(2):
-        if needed and side != way_out:
+        if needed and side != rails.way_out[lane]:
             continue
         other = graph.left[lane] if side == 0 else graph.right[lane]
         if other < 0 or (not needed and rails.way_out[other] >= 0):
             continue
-        gain = _gain(traffic, row, lane, other, side, distance, needed)
+        gain = gain_of_change(traffic, row, lane, other, side, distance, needed)
         if urge and gain > -LEAST_GAIN:
             gain = 1.0
         if gain > best_gain:
             best_side, best_gain = side, gain
-    if best_side != NOBODY:
-        _begin(traffic, row, lane, best_side, distance, now)
+    return best_side
 
 
 @part
@@ -133,138 +140,6 @@ def _ask_to_be_let_in(traffic: Traffic, row: int, lane: int, now: float) -> None
     changes.asks[row] = waits and now - changes.wanted_since[row] > ASKS_AFTER
     if changes.asks[row]:
         changes.side[row] = way_out
-
-
-@part
-def _gain(
-    traffic: Traffic, row: int, lane: int, other: int, side: int, distance: float, needed: bool
-) -> float:
-    """Return what a change gains (m/s2, as MOBIL counts); minus infinity where it is not safe."""
-    background, graph, rails, scratch = traffic.background, traffic.graph, traffic.rails, traffic.scratch
-    vehicles = background.lane.shape[0]
-    s = background.s[row] * graph.length[other] / graph.length[lane]
-    link, position = rails.link[other], rails.link_offset[other] + s
-    # Behind the change there has to be room to stop at the line.
-    room = rails.length[link] - position - 0.5 * background.length[row] - distance
-    if room < _ROOM_AT_THE_LINE + background.speed[row] ** 2 / (2.0 * CURVE_BRAKING):
-        return -math.inf
-    if not _goes_on_beside(traffic, link, other, s, scratch.link[row], side, distance):
-        return -math.inf
-    if position < BEHIND_A_JUNCTION and traffic.right_of_way.inbound[link] > 0:
-        return -math.inf
-    if traffic.ego_on_links.rear[link] < math.inf and not needed:
-        return -math.inf
-    speed, length = background.speed[row], background.length[row]
-    behind, ahead = scratch.last[link], NOBODY
-    while behind != NOBODY and (scratch.position[behind] > position or _only_asks(traffic, behind)):
-        if not _only_asks(traffic, behind):
-            ahead = behind
-        behind = scratch.preceding[behind]
-    gap, leader_speed = math.inf, 0.0
-    if ahead != NOBODY:
-        leader = owner(ahead, vehicles)
-        gap = scratch.position[ahead] - position - 0.5 * (length + background.length[leader])
-        leader_speed = background.speed[leader]
-    else:
-        gap, leader_speed = _beyond(traffic, link, position, length)
-    if not _is_safe(gap, speed, leader_speed):
-        return -math.inf
-    follower_gap, follower = math.inf, NOBODY
-    if behind != NOBODY:
-        follower = owner(behind, vehicles)
-        follower_gap = position - scratch.position[behind] - 0.5 * (length + background.length[follower])
-    else:
-        follower, follower_gap = _before(traffic, link, position, length)
-    if follower == NOBODY:
-        if follower_gap < math.inf:
-            return -math.inf
-    elif not _is_safe(follower_gap, background.speed[follower], speed):
-        return -math.inf
-    if needed:
-        return math.inf
-    target = min(background.desired_speed[row], rails.pace[lane])
-    gain = idm_acceleration(speed, target, gap + REFERENCE_LENGTH, leader_speed)
-    gain -= idm_acceleration(speed, target, scratch.gap[row] + REFERENCE_LENGTH, scratch.leader_speed[row])
-    if follower != NOBODY:
-        behind_speed, behind_target = background.speed[follower], background.desired_speed[follower]
-        before = idm_acceleration(
-            behind_speed, behind_target, follower_gap + length + gap + REFERENCE_LENGTH, leader_speed
-        )
-        after = idm_acceleration(behind_speed, behind_target, follower_gap + REFERENCE_LENGTH, speed)
-        gain += POLITENESS * (after - before)
-    return gain
-
-
-@part
-def _only_asks(traffic: Traffic, node: int) -> bool:
-    """Tell whether a node is no body but a request to be let in."""
-    vehicles = traffic.background.lane.shape[0]
-    return node >= vehicles and traffic.lane_changes.asks[node - vehicles]
-
-
-@part
-def _is_safe(gap: float, speed: float, leader_speed: float) -> bool:
-    """Tell whether who drives `gap` metres behind a leader has to brake gently at most."""
-    if gap == math.inf:
-        return True
-    if gap < _LEAST_GAP + _GAP_TIME * speed:
-        return False
-    return speed <= approach_speed(gap - _GAP_MARGIN, max(leader_speed, 0.0), GENTLE_BRAKING, 0.1)
-
-
-@part
-def _goes_on_beside(
-    traffic: Traffic, link: int, row: int, s: float, own_link: int, side: int, distance: float
-) -> bool:
-    """Tell whether both lanes run beside each other for `distance` metres from `s` on `row` of `link`."""
-    rails, graph = traffic.rails, traffic.graph
-    place = rails.place[row]
-    covered = graph.length[row] - s
-    while covered < distance:
-        place += 1
-        if place >= rails.row_start[link + 1]:
-            return False
-        row = rails.rows[place]
-        beside = rails.beside[row, 1 - side]
-        if beside < 0 or rails.link[beside] != own_link:
-            return False
-        covered += graph.length[row]
-    return True
-
-
-@part
-def _beyond(traffic: Traffic, link: int, position: float, length: float) -> tuple[float, float]:
-    """Return gap and speed of the nearest vehicle on ordinary links after `link`."""
-    rails, scratch, background = traffic.rails, traffic.scratch, traffic.background
-    gap, speed = math.inf, 0.0
-    for index in range(rails.next_start[link], rails.next_start[link + 1]):
-        node = scratch.first[rails.next[index]]
-        if node == NOBODY:
-            continue
-        leader = owner(node, background.lane.shape[0])
-        distance = rails.length[link] - position + scratch.position[node]
-        distance -= 0.5 * (length + background.length[leader])
-        if distance < gap:
-            gap, speed = distance, background.speed[leader]
-    return gap, speed
-
-
-@part
-def _before(traffic: Traffic, link: int, position: float, length: float) -> tuple[int, float]:
-    """Return the nearest vehicle on the links before `link` and the gap to it; -1 and inf without one."""
-    rails, scratch, background = traffic.rails, traffic.scratch, traffic.background
-    follower, gap = NOBODY, math.inf
-    for index in range(rails.previous_start[link], rails.previous_start[link + 1]):
-        before = rails.previous[index]
-        node = scratch.last[before]
-        if node == NOBODY:
-            continue
-        other = owner(node, background.lane.shape[0])
-        distance = position + rails.length[before] - scratch.position[node]
-        distance -= 0.5 * (length + background.length[other])
-        if distance < gap:
-            follower, gap = other, distance
-    return follower, gap
 
 
 @part

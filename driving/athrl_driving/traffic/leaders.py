@@ -2,7 +2,7 @@
 
 import math
 
-from athrl_driving.compilation import part
+from athrl_driving.compilation import part, spliced
 from athrl_driving.traffic.columns import NOBODY, Traffic
 from athrl_driving.traffic.nodes import owner
 from athrl_driving.traffic.rails import CURVE_BRAKING
@@ -20,59 +20,102 @@ def look_ahead(traffic: Traffic, row: int, length: float, speed: float) -> None:
     The leader is the nearest of: who is on the links of the path, who is on ways that part from the path and
     has not left it with its rear, and the ego where it covers a link of the path.
     """
-    background, right_of_way, scratch = traffic.background, traffic.right_of_way, traffic.scratch
-    covered, link_length = traffic.ego_on_links, traffic.rails.length
-    vehicles = background.lane.shape[0]
-    is_ego = row == vehicles
-    ways = right_of_way.holders.shape[0]
+    covered, path, right_of_way = traffic.ego_on_links, traffic.background.path, traffic.right_of_way
+    is_ego = row == path.shape[0]
     gap, leader_speed, leader, leader_middle = math.inf, 0.0, NOBODY, math.inf
     ahead, line = NOBODY, math.inf
-    base, until = 0.0, math.inf
-    if not is_ego:
-        base = -scratch.position[row]
-    places = covered.path_link.shape[0] if is_ego else background.path.shape[1]
+    base = 0.0 if is_ego else -traffic.scratch.position[row]
+    until = math.inf
+    places = covered.path_link.shape[0] if is_ego else path.shape[1]
     for place in range(places):
         if is_ego:
             link, base, until = covered.path_link[place], covered.path_base[place], covered.path_until[place]
         else:
-            link = background.path[row, place]
+            link = path[row, place]
         if link < 0 or base > LOOK_AHEAD:
             break
-        if place > 0 and link < ways and ahead == NOBODY:
+        if place > 0 and link < right_of_way.holders.shape[0] and ahead == NOBODY:
             ahead, line = link, base - 0.5 * length
         if leader == NOBODY:
-            node = scratch.first[link]
-            if place == 0 and not is_ego:
-                node = scratch.following[row]
-            node = _first_to_heed(traffic, node, row, base, until, length, speed)
-            if node != NOBODY:
-                leader = owner(node, vehicles)
-                leader_middle = base + scratch.position[node]
-            if link < ways:
-                node = _parting(traffic, link, base, leader_middle)
-                if node != NOBODY:
-                    leader = node
-                    leader_middle = base + scratch.position[node]
-                node, middle = _merged(traffic, link, base, leader_middle, row)
-                if node != NOBODY:
-                    leader, leader_middle = node, middle
-            if leader != NOBODY:
-                gap = leader_middle - 0.5 * (length + background.length[leader])
-                leader_speed = background.speed[leader]
-            if not is_ego and covered.rear[link] < math.inf:
-                middle = base + 0.5 * (covered.rear[link] + covered.front[link])
-                ego_gap = base + covered.rear[link] - 0.5 * length
-                if middle > 0.0 and ego_gap < gap:
-                    gap, leader_middle, leader_speed = ego_gap, middle, covered.speed[link]
-                    leader = vehicles
-        base += link_length[link]
+            leader, leader_middle, gap, leader_speed = _leader_on(
+                traffic, row, place, link, base, until, length, speed
+            )
+        base += traffic.rails.length[link]
         if leader != NOBODY and ahead != NOBODY:
             break
-    scratch.gap[row], scratch.leader_speed[row] = gap, leader_speed
-    right_of_way.ahead[row], right_of_way.line_distance[row] = ahead, line
+    _note(traffic, row, gap, leader_speed, ahead, line)
     # Who drives behind somebody without a right to cross waits its turn.
     before_line = leader != NOBODY and leader_middle < line + 0.5 * length
-    scratch.held_up[row] = before_line and right_of_way.granted[leader] == NOBODY
+    traffic.scratch.held_up[row] = before_line and right_of_way.granted[leader] == NOBODY
+
+
+@spliced
+def _note(traffic: Traffic, row: int, gap: float, leader_speed: float, ahead: int, line: float) -> None:
+    """Note the gap (m) to the leader and its speed (m/s), the next movement and the way (m) to its line."""
+    traffic.scratch.gap[row], traffic.scratch.leader_speed[row] = gap, leader_speed
+    traffic.right_of_way.ahead[row], traffic.right_of_way.line_distance[row] = ahead, line
+
+
+@spliced
+def _leader_on(
+    traffic: Traffic,
+    row: int,
+    place: int,
+    link: int,
+    base: float,
+    until: float,
+    length: float,
+    speed: float,
+) -> tuple[int, float, float, float]:
+    """Return the leader on the link at a place of the path: who, and m to its middle and rear, and m/s.
+
+    `base` is the distance (m) to the link's start. Without a leader: -1, inf, inf, 0.
+    """
+    background, covered = traffic.background, traffic.ego_on_links
+    vehicles = background.lane.shape[0]
+    gap, leader_speed = math.inf, 0.0
+    leader, middle = _vehicle_on(traffic, row, place, link, base, until, length, speed)
+    if leader != NOBODY:
+        gap = middle - 0.5 * (length + background.length[leader])
+        leader_speed = background.speed[leader]
+    if row < vehicles and covered.rear[link] < math.inf:
+        ego_middle = base + 0.5 * (covered.rear[link] + covered.front[link])
+        ego_gap = base + covered.rear[link] - 0.5 * length
+        if ego_middle > 0.0 and ego_gap < gap:
+            return vehicles, ego_middle, ego_gap, covered.speed[link]
+    return leader, middle, gap, leader_speed
+
+
+@spliced
+def _vehicle_on(
+    traffic: Traffic,
+    row: int,
+    place: int,
+    link: int,
+    base: float,
+    until: float,
+    length: float,
+    speed: float,
+) -> tuple[int, float]:
+    """Return the nearest vehicle to heed on a link and on the ways that part from it or merge with it.
+
+    With it the distance (m) to its middle; -1 and inf without one.
+    """
+    scratch, vehicles = traffic.scratch, traffic.background.lane.shape[0]
+    leader, middle = NOBODY, math.inf
+    node = scratch.following[row] if place == 0 and row < vehicles else scratch.first[link]
+    node = _first_to_heed(traffic, node, row, base, until, length, speed)
+    if node != NOBODY:
+        leader, middle = owner(node, vehicles), base + scratch.position[node]
+    if link >= traffic.right_of_way.holders.shape[0]:
+        return leader, middle
+    node = _parting(traffic, link, base, middle)
+    if node != NOBODY:
+        leader, middle = node, base + scratch.position[node]
+    node, nearer = _merged(traffic, link, base, middle, row)
+    if node != NOBODY:
+        leader, middle = node, nearer
+    return leader, middle
 
 
 @part
