@@ -56,6 +56,13 @@ def test_map_that_is_none_is_named_with_its_line(command, tmp_path: Path, words:
     assert_one_line(result, "gone.xodr", "no such file")
 
 
+def test_unknown_town_is_named_by_the_option_that_gave_it(command) -> None:
+    words = ["evaluate", "--policy", "blind", "--episodes", "2", "--town", "town3"]
+    result = command.run(*words, seconds=SECONDS)
+    assert_one_line(result, "--town town3", "did you mean 'town03'", "town02, town03, town04")
+    assert "--set" not in result.stderr
+
+
 @pytest.mark.parametrize("words", [["train"], ["evaluate", "--policy", "blind", "--episodes", "2"]])
 def test_more_vehicles_than_the_town_has_room_for_are_refused(command, words: list[str]) -> None:
     settings = ["--set", "environment.town=town02", "--set", "environment.vehicles=1000"]

@@ -32,7 +32,10 @@ def evaluate(
     settings: SetOption = None,
 ) -> None:
     """Drive episodes without exploration and print the scores with a 95 % interval of the return."""
-    given = overrides(settings) + ([f"environment.town={town}"] if town else [])
+    given = overrides(settings)
+    if town is not None:
+        _check_town(town)
+        given.append(f"environment.town={town}")
     run_settings = runs.new_settings(run_file, given)
     scores = _evaluate(policy, run_settings, episodes, seed)
     facts = {"policy": policy, "town": run_settings.environment.town, "seed": seed, **scores}
@@ -43,6 +46,16 @@ def evaluate(
     for name, value in facts.items():
         table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
     Console().print(table)
+
+
+def _check_town(town: str) -> None:
+    """Refuse a town that there is not by the option's name, and a map that cannot be driven."""
+    with needs("evaluator"):
+        from athrl_driving.maps import load_town
+    try:
+        load_town(town)
+    except ValueError as error:
+        raise CommandError(f"--town {town}: {error}") from None
 
 
 def _evaluate(policy: str, settings: RunFile, episodes: int, seed: int) -> dict[str, float]:

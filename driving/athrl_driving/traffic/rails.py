@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.maps import Town
-from athrl_driving.maps.lane_graph import TURN_LEFT, Floats, Integers, LaneGraph
+from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
 
 CURVE_ACCELERATION = 2.2
 """m/s2 sideways that background vehicles accept in a curve."""
@@ -26,8 +26,8 @@ LATER_WHEN_YIELDING = 8.0
 LATER_A_PRIORITY = 1.0
 """Seconds of the same for each step of priority that a movement is behind."""
 
-LATER_LEFT_AT_SIGNALS = 4.0
-"""Seconds of the same for left turns through oncoming vehicles that have green, too."""
+LATER_ACROSS_AT_SIGNALS = 4.0
+"""Seconds of the same for turns across oncoming vehicles that have green, too."""
 
 ROOM_TO_CHANGE = 16.0
 """Metres before the end of a lane that ends where a vehicle waits for a gap beside."""
@@ -241,13 +241,12 @@ def _rooms(
 
 
 def _handicaps(town: Town) -> Floats:
-    movements, graph = town.movements, town.graph
+    movements = town.movements
     later = LATER_A_PRIORITY * np.asarray(movements.priority, dtype=np.float64)
     later[np.asarray(movements.yields)] = LATER_WHEN_YIELDING
-    for movement in np.flatnonzero(np.asarray(movements.signal) >= 0):
-        rows = movements.lane[movements.lane_start[movement] : movements.lane_start[movement + 1]]
-        if (graph.turn[rows] == TURN_LEFT).any():
-            later[movement] = max(later[movement], LATER_LEFT_AT_SIGNALS)
+    # Odd priorities are those of turns across the oncoming traffic: left turns, with left-hand traffic right.
+    across = (np.asarray(movements.signal) >= 0) & (np.asarray(movements.priority) % 2 == 1)
+    later[across] = np.maximum(later[across], LATER_ACROSS_AT_SIGNALS)
     return later
 
 
