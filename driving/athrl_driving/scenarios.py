@@ -36,9 +36,13 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "destination": ("Garden Street", -1, 60.0),
         "traffic_near": (165.0, 0.0, 140.0),
         "vehicles_count": 30,
+        "episode_ticks": 1000,
     },
 }
-"""The settings by environment id; all others are those of `TownEnv`."""
+"""The settings by environment id; all others are those of `TownEnv`.
+
+An episode is long enough for a driver that gives way to arrive.
+"""
 
 
 def places_near(traffic: Traffic, x: float, y: float, radius: float) -> Traffic:

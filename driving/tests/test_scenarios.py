@@ -41,11 +41,21 @@ def drive(env: TownEnv, seed: int) -> tuple[dict, list[NDArray[np.float64]]]:
 @pytest.mark.parametrize("name", sorted(SCENARIOS))
 def test_rule_based_driver_passes(name: str) -> None:
     env = TownEnv(config=SCENARIOS[name])
-    for seed in range(10):
+    for seed in range(20):
         info, _ = drive(env, seed)
         assert not info["collision"], f"seed {seed}"
         assert not info["off_lane"], f"seed {seed}"
-        assert info["metrics"]["success"] == 1.0, f"seed {seed}"
+        assert env.episodes.state.progress.arrived[0], f"seed {seed}"
+        assert info["metrics"]["route_completion"] == info["metrics"]["success"] == 1.0, f"seed {seed}"
+
+
+def test_who_is_still_on_the_way_when_the_time_is_up_has_not_succeeded() -> None:
+    on_the_way = TownEnv(config={**SCENARIOS["athrl/Roundabout-v0"], "episode_ticks": 50})
+    info, _ = drive(on_the_way, 0)
+    assert (info["metrics"]["crash"], info["metrics"]["success"]) == (0.0, 0.0)
+    nowhere_to_arrive = TownEnv(config={"vehicles_count": 20, "episode_ticks": 50})
+    info, _ = drive(nowhere_to_arrive, 0)
+    assert info["metrics"]["success"] == 1.0
 
 
 def test_ego_meets_oncoming_vehicles() -> None:
