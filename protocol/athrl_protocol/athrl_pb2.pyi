@@ -22,7 +22,15 @@ class Level(_message.Message):
     def __init__(self, name: _Optional[str] = ..., action_size: _Optional[int] = ..., actions: _Optional[bytes] = ..., rewards: _Optional[bytes] = ..., initial_state: _Optional[bytes] = ...) -> None: ...
 
 class Chunk(_message.Message):
-    __slots__ = ("schema_version", "schema_hash", "actor", "incarnation", "sequence", "environment", "episode_seed", "first_step", "time", "length", "image_height", "image_width", "image_channels", "motion_size", "images", "motion", "levels", "policy_version", "terminated", "truncated", "oldest_held")
+    __slots__ = ("schema_version", "schema_hash", "actor", "incarnation", "sequence", "environment", "episode_seed", "first_step", "time", "length", "image_height", "image_width", "image_channels", "motion_size", "images", "motion", "levels", "policy_version", "terminated", "truncated", "oldest_held", "image_compression")
+    class Compression(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        ZSTD: _ClassVar[Chunk.Compression]
+        LZ4: _ClassVar[Chunk.Compression]
+        NONE: _ClassVar[Chunk.Compression]
+    ZSTD: Chunk.Compression
+    LZ4: Chunk.Compression
+    NONE: Chunk.Compression
     SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
     SCHEMA_HASH_FIELD_NUMBER: _ClassVar[int]
     ACTOR_FIELD_NUMBER: _ClassVar[int]
@@ -44,6 +52,7 @@ class Chunk(_message.Message):
     TERMINATED_FIELD_NUMBER: _ClassVar[int]
     TRUNCATED_FIELD_NUMBER: _ClassVar[int]
     OLDEST_HELD_FIELD_NUMBER: _ClassVar[int]
+    IMAGE_COMPRESSION_FIELD_NUMBER: _ClassVar[int]
     schema_version: int
     schema_hash: int
     actor: str
@@ -65,7 +74,18 @@ class Chunk(_message.Message):
     terminated: bool
     truncated: bool
     oldest_held: int
-    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., actor: _Optional[str] = ..., incarnation: _Optional[int] = ..., sequence: _Optional[int] = ..., environment: _Optional[int] = ..., episode_seed: _Optional[int] = ..., first_step: _Optional[int] = ..., time: _Optional[int] = ..., length: _Optional[int] = ..., image_height: _Optional[int] = ..., image_width: _Optional[int] = ..., image_channels: _Optional[int] = ..., motion_size: _Optional[int] = ..., images: _Optional[bytes] = ..., motion: _Optional[bytes] = ..., levels: _Optional[_Iterable[_Union[Level, _Mapping]]] = ..., policy_version: _Optional[bytes] = ..., terminated: _Optional[bool] = ..., truncated: _Optional[bool] = ..., oldest_held: _Optional[int] = ...) -> None: ...
+    image_compression: Chunk.Compression
+    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., actor: _Optional[str] = ..., incarnation: _Optional[int] = ..., sequence: _Optional[int] = ..., environment: _Optional[int] = ..., episode_seed: _Optional[int] = ..., first_step: _Optional[int] = ..., time: _Optional[int] = ..., length: _Optional[int] = ..., image_height: _Optional[int] = ..., image_width: _Optional[int] = ..., image_channels: _Optional[int] = ..., motion_size: _Optional[int] = ..., images: _Optional[bytes] = ..., motion: _Optional[bytes] = ..., levels: _Optional[_Iterable[_Union[Level, _Mapping]]] = ..., policy_version: _Optional[bytes] = ..., terminated: _Optional[bool] = ..., truncated: _Optional[bool] = ..., oldest_held: _Optional[int] = ..., image_compression: _Optional[_Union[Chunk.Compression, str]] = ...) -> None: ...
+
+class Delivery(_message.Message):
+    __slots__ = ("schema_version", "schema_hash", "sizes")
+    SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
+    SCHEMA_HASH_FIELD_NUMBER: _ClassVar[int]
+    SIZES_FIELD_NUMBER: _ClassVar[int]
+    schema_version: int
+    schema_hash: int
+    sizes: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., sizes: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class Acknowledgement(_message.Message):
     __slots__ = ("schema_version", "schema_hash", "next_sequence", "credits")
@@ -80,7 +100,7 @@ class Acknowledgement(_message.Message):
     def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., next_sequence: _Optional[int] = ..., credits: _Optional[int] = ...) -> None: ...
 
 class Refusal(_message.Message):
-    __slots__ = ("schema_version", "schema_hash", "reason", "expected_sequence", "text")
+    __slots__ = ("schema_version", "schema_hash", "reason", "expected_sequence", "text", "index")
     class Reason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNSPECIFIED: _ClassVar[Refusal.Reason]
@@ -98,12 +118,14 @@ class Refusal(_message.Message):
     REASON_FIELD_NUMBER: _ClassVar[int]
     EXPECTED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     TEXT_FIELD_NUMBER: _ClassVar[int]
+    INDEX_FIELD_NUMBER: _ClassVar[int]
     schema_version: int
     schema_hash: int
     reason: Refusal.Reason
     expected_sequence: int
     text: str
-    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., reason: _Optional[_Union[Refusal.Reason, str]] = ..., expected_sequence: _Optional[int] = ..., text: _Optional[str] = ...) -> None: ...
+    index: int
+    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., reason: _Optional[_Union[Refusal.Reason, str]] = ..., expected_sequence: _Optional[int] = ..., text: _Optional[str] = ..., index: _Optional[int] = ...) -> None: ...
 
 class Edition(_message.Message):
     __slots__ = ("schema_version", "schema_hash", "incarnation", "number")

@@ -1,4 +1,4 @@
-"""Chunks as bytes: one protobuf bytes field a column, the images compressed with zstd.
+"""Chunks as bytes: one protobuf bytes field a column, the images compressed (`image_codec`).
 
 Decoding copies nothing but the images: every other column is a read-only view into the message. Nothing
 is decompressed before the size that the message announces has been checked.
@@ -6,12 +6,10 @@ is decompressed before the size that the message announces has been checked.
 
 from __future__ import annotations
 
-import threading
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import zstandard
 
 from athrl_protocol import athrl_pb2
 from athrl_protocol.chunk import (
@@ -24,35 +22,33 @@ from athrl_protocol.chunk import (
     check_chunk,
 )
 from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.image_codec import Compression, number_of, pack_images, unpack_images
 from athrl_protocol.schema import decode_message, encode_message
 
-# Level 1 shrinks bird's eye views as much as level 3 does, in less time.
-COMPRESSION_LEVEL = 1
-# zstd's worst case is the content plus 1/256; what is longer is not worth a look.
+# The worst case of either compression is the content plus 1/255; what is longer is not worth a look.
 MAXIMUM_MESSAGE_BYTES = MAXIMUM_IMAGES_BYTES + MAXIMUM_IMAGES_BYTES // 128
+OLDEST_HELD_BYTES = 16
+"""What `with_oldest_held` adds at most."""
 
 _FLOAT32 = np.dtype("<f4")
 _INT64 = np.dtype("<i8")
+# The images go behind the rest of the message, as any order of fields is the same message; so they are copied
+# once and not by each step of protobuf's.
+_IMAGES_TAG = bytes([athrl_pb2.Chunk.IMAGES_FIELD_NUMBER << 3 | 2])  # 2: with a length
 
 
-class _Compression(threading.local):
-    """zstd contexts are costly to make and must not be shared between threads."""
-
-    def __init__(self) -> None:
-        self.compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
-        self.decompressor = zstandard.ZstdDecompressor()
-
-
-_compression = _Compression()
-
-
-def encode_chunk(chunk: Chunk) -> bytes:
+def encode_chunk(chunk: Chunk, compression: Compression = "zstd") -> bytes:
     """Return the chunk as a message.
 
     Raises:
         InvalidMessage: the chunk itself is not valid, see `check_chunk`.
     """
     check_chunk(chunk)
+    return encode_checked(chunk, compression)
+
+
+def encode_checked(chunk: Chunk, compression: Compression) -> bytes:
+    """Return a chunk that `check_chunk` has been happy with as a message."""
     _, height, width, channels = chunk.images.shape
     message = athrl_pb2.Chunk(
         actor=chunk.actor,
@@ -67,7 +63,7 @@ def encode_chunk(chunk: Chunk) -> bytes:
         image_width=width,
         image_channels=channels,
         motion_size=chunk.motion.shape[1],
-        images=_compression.compressor.compress(np.ascontiguousarray(chunk.images).data),
+        image_compression=number_of(compression),
         motion=chunk.motion.astype(_FLOAT32, copy=False).tobytes(),
         policy_version=chunk.policy_version.astype(_INT64, copy=False).tobytes(),
         terminated=chunk.terminated,
@@ -82,7 +78,17 @@ def encode_chunk(chunk: Chunk) -> bytes:
             rewards=level.rewards.astype(_FLOAT32, copy=False).tobytes(),
             initial_state=level.initial_state.astype(_FLOAT32, copy=False).tobytes(),
         )
-    return encode_message(message)
+    images = pack_images(chunk.images, compression)
+    return b"".join((encode_message(message), _IMAGES_TAG, _varint(len(images)), images))
+
+
+def _varint(number: int) -> bytes:
+    content = bytearray()
+    while number > 0x7F:
+        content.append(number & 0x7F | 0x80)
+        number >>= 7
+    content.append(number)
+    return bytes(content)
 
 
 def with_oldest_held(encoded: bytes, oldest_held: int) -> bytes:
@@ -162,15 +168,5 @@ def _images(message: athrl_pb2.Chunk) -> npt.NDArray[np.uint8]:
         raise InvalidMessage(
             "size", f"chunk: images of {expected} bytes, should be 1 to {MAXIMUM_IMAGES_BYTES}"
         )
-    try:
-        announced = zstandard.frame_content_size(message.images)
-        if announced != expected:
-            raise InvalidMessage(
-                "size", f"chunk: images unpack to {announced} bytes, {list(shape)} needs {expected}"
-            )
-        content = _compression.decompressor.decompress(message.images, allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        raise InvalidMessage("images", f"chunk: images are no zstd frame ({error})") from None
-    if len(content) != expected:
-        raise InvalidMessage("size", f"chunk: images unpack to {len(content)} bytes, should be {expected}")
+    content = unpack_images(message.images, message.image_compression, expected)
     return np.frombuffer(content, np.uint8).reshape(shape)

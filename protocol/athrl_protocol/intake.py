@@ -27,6 +27,7 @@ from athrl_protocol import athrl_pb2
 from athrl_protocol.chunk import Chunk
 from athrl_protocol.chunk_codec import MAXIMUM_MESSAGE_BYTES, decode_chunk
 from athrl_protocol.closing import Closing
+from athrl_protocol.delivery import MOST_BYTES, taken_apart
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
 from athrl_protocol.ledger import Gap, Known, Ledger
@@ -257,18 +258,35 @@ class ChunkIntake(Closing):
                     _log.debug("intake: %s", error)
 
     def _judge(self, query: zenoh.Query) -> athrl_pb2.Acknowledgement | athrl_pb2.Refusal:
-        """Take in what the query brings, and return the answer to it."""
+        """Take in what the query brings, and return the answer: to the first chunk that was not taken in."""
         sender = str(query.key_expr).rpartition("/")[2]
         try:
-            message = self._message(query)
+            messages = self._messages(query)
+        except InvalidMessage as error:
+            return self._refused(sender, error)
+        answer: athrl_pb2.Acknowledgement | athrl_pb2.Refusal | None = None
+        for index, message in enumerate(messages):
+            answer = self._judge_chunk(sender, message)
+            if isinstance(answer, athrl_pb2.Refusal):
+                answer.index = index
+                break
+        assert answer is not None
+        return answer
+
+    def _judge_chunk(self, sender: str, message: bytes) -> athrl_pb2.Acknowledgement | athrl_pb2.Refusal:
+        """Take a chunk in, and return the answer to it."""
+        try:
+            if len(message) > self._largest:
+                raise InvalidMessage(
+                    "size", f"chunk: {len(message)} bytes, at most {self._largest} in this run"
+                )
             chunk = decode_chunk(message)
             if sender != chunk.actor:
                 raise InvalidMessage("value", f"chunk: of actor {chunk.actor!r} under the key of another")
             with self._lock:
                 return self._take_in(chunk, message)
         except InvalidMessage as error:
-            self._refusals.add(sender, error)
-            return athrl_pb2.Refusal(reason=athrl_pb2.Refusal.INVALID, text=str(error))
+            return self._refused(sender, error)
         except IntakeBusy:
             return self._busy()
         except IntakeFinished:
@@ -277,12 +295,18 @@ class ChunkIntake(Closing):
             self._fail(error)
             return self._busy()
 
-    def _message(self, query: zenoh.Query) -> bytes:
+    def _refused(self, sender: str, error: InvalidMessage) -> athrl_pb2.Refusal:
+        self._refusals.add(sender, error)
+        return athrl_pb2.Refusal(reason=athrl_pb2.Refusal.INVALID, text=str(error))
+
+    def _messages(self, query: zenoh.Query) -> list[bytes]:
         """Return what a query brings, if it is small enough to be looked at; else raise InvalidMessage."""
         size = len(query.payload) if query.payload is not None else 0
-        if size > self._largest:
-            raise InvalidMessage("size", f"chunk: {size} bytes, at most {self._largest} in this run")
-        return query.payload.to_bytes() if query.payload is not None else b""
+        largest = self._largest if query.attachment is None else max(self._largest, MOST_BYTES)
+        if size > largest:
+            raise InvalidMessage("size", f"chunk: {size} bytes, at most {largest} in this run")
+        content = query.payload.to_bytes() if query.payload is not None else b""
+        return taken_apart(content, None if query.attachment is None else query.attachment.to_bytes())
 
     def _fail(self, error: BaseException) -> None:
         """Take nothing in any more after the learner's own mistake; its main thread has to know."""

@@ -6,6 +6,9 @@ answers. What is held is bounded, and when the bound is reached the actor waits:
 the capacity; while the learner says "busy" it is a few, so that an actor stops driving instead of piling up
 experience of an old policy; while the learner takes chunks in it is twice the credits it gives, so that some
 are ready to go while others are under way, and actor and learner work at the same time and not by turns.
+
+Chunks wait for others for a moment and go together, several in a query (`delivery`), unless somebody waits
+for them. They are encoded by the thread that sends them.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from enum import Enum, auto
 from typing import NamedTuple
 
@@ -23,10 +27,12 @@ import zenoh
 
 from athrl_protocol import athrl_pb2
 from athrl_protocol.background import Background
-from athrl_protocol.chunk import Chunk
-from athrl_protocol.chunk_codec import encode_chunk, with_oldest_held
+from athrl_protocol.chunk import Chunk, check_chunk
+from athrl_protocol.chunk_codec import OLDEST_HELD_BYTES, encode_checked, with_oldest_held
 from athrl_protocol.closing import Closing
+from athrl_protocol.delivery import MOST_BYTES, MOST_CHUNKS, joined
 from athrl_protocol.errors import InvalidMessage
+from athrl_protocol.image_codec import Compression
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import decode_message
 from athrl_protocol.session import address_of, doubt_about_certificate, undeclare_quietly
@@ -40,6 +46,8 @@ SILENCE_PAUSE_SECONDS = 0.1
 # Without an answer over a standing connection until somebody is told; the first chunk may time out once.
 COMPLAINT_SECONDS = 10.0
 HELD_WHILE_BUSY = 8
+# For which a chunk waits for others to go with it.
+GATHER_SECONDS = 0.05
 SHORTEST_BUSY_PAUSE_SECONDS = 0.01
 LONGEST_BUSY_PAUSE_SECONDS = 0.05
 
@@ -62,7 +70,7 @@ class _Learner(Enum):
 
 
 class _UnderWay(NamedTuple):
-    sequence: int
+    sequences: tuple[int, ...]  # of the chunks in the query
     replies: zenoh.handlers.Handler[zenoh.Reply]
 
 
@@ -78,16 +86,28 @@ class ChunkUploader(Closing):
         actor: name of the actor.
         incarnation: of this process, from `new_incarnation`; a restarted actor needs a new one.
         capacity: chunks that are held at most while the learner is away.
+        compression: of the chunks' images.
     """
 
-    def __init__(self, session: zenoh.Session, run: str, actor: str, incarnation: int, capacity: int) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        run: str,
+        actor: str,
+        incarnation: int,
+        capacity: int,
+        compression: Compression = "lz4",
+    ) -> None:
         self._session = session
         self._actor = actor
         self._incarnation = incarnation
         self._window = UploadWindow(capacity)
         self._changed = threading.Condition()
         self._background = Background("the upload", _log, wake=self._wake)
-        self._submitting = threading.Lock()  # taken before `_changed`; one chunk is encoded after another
+        self._compression: Compression = compression
+        self._raw: deque[tuple[int, Chunk]] = deque()  # not encoded yet, by sequence
+        self._waiting = 0  # calls that wait for room, or for all to be settled
+        self._due_at = math.inf  # when what is unsent has waited for long enough
         self._under_way: deque[_UnderWay] = deque()  # of the thread alone
         self._credits = 1
         self._probing = True  # one chunk at a time until one is taken
@@ -123,27 +143,20 @@ class ChunkUploader(Closing):
             InvalidMessage: the chunk itself is not valid.
             BackgroundFailed: the thread that sends has failed; no chunk will ever be sent.
         """
-        with self._submitting:
-            with self._changed:
-                self._changed.wait_for(lambda: not self._is_full or self._is_over(), timeout)
-                self._background.check()
-                if self._is_full or self._is_over():
-                    return False
-                sequence = self._window.next_sequence  # nobody else adds
-            numbered = dataclasses.replace(
-                chunk,
-                actor=self._actor,
-                incarnation=self._incarnation,
-                sequence=sequence,
-                oldest_held=0,
-            )
-            encoded = encode_chunk(numbered)  # outside of the lock that the thread needs to send others
-            with self._changed:
-                if self._is_over():
-                    return False
-                self._window.add(encoded)
+        check_chunk(chunk)
+        with self._changed:
+            self._wait_for(lambda: not self._is_full or self._is_over(), timeout)
+            self._background.check()
+            if self._is_full or self._is_over():
+                return False
+            self._raw.append((self._window.reserve(), chunk))
+            # The thread is woken when there is something for it to do, not by every chunk.
+            if self._due_at == math.inf:
+                self._due_at = time.monotonic() + GATHER_SECONDS
                 self._changed.notify_all()
-                return True
+            elif self._is_due():
+                self._changed.notify_all()
+            return True
 
     def give_up(self, chunks: int) -> None:
         """Count chunks that were made and will not be submitted, because the bound was reached."""
@@ -157,7 +170,7 @@ class ChunkUploader(Closing):
             BackgroundFailed: the thread that sends has failed.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._window.is_empty or self._is_over(), timeout)
+            self._wait_for(lambda: self._window.is_empty or self._is_over(), timeout)
             self._background.check()
             return self._window.is_empty and not self._closed.is_set()
 
@@ -175,6 +188,7 @@ class ChunkUploader(Closing):
         self._thread.join(timeout=ANSWER_SECONDS)
         undeclare_quietly(self._querier)
         with self._changed:
+            self._raw.clear()
             self._window.give_up_all("closed")
             self._changed.notify_all()
 
@@ -189,6 +203,30 @@ class ChunkUploader(Closing):
 
     def _is_over(self) -> bool:
         return self._finished or self._closed.is_set() or self._background.failed
+
+    def _wait_for(self, condition: Callable[[], bool], timeout: float) -> None:
+        """Wait at most `timeout` seconds for something that depends on what is sent; within `_changed`."""
+        if condition():
+            return
+        self._waiting += 1
+        self._changed.notify_all()
+        try:
+            self._changed.wait_for(condition, timeout)
+        finally:
+            self._waiting -= 1
+
+    def _is_due(self) -> bool:
+        """Whether to send what is unsent, or to wait for more that can go with it; within `_changed`."""
+        if not self._window.has_unsent:
+            return False
+        if self._probing or self._waiting or self._window.has_to_resend:
+            return True
+        return self._window.unsent >= self._most_together or time.monotonic() >= self._due_at
+
+    @property
+    def _most_together(self) -> int:
+        """How many chunks go in one query, so that another one can be under way."""
+        return 1 if self._probing else max(1, min(MOST_CHUNKS, self._credits // 2))
 
     def _wake(self) -> None:
         with self._changed:
@@ -210,20 +248,58 @@ class ChunkUploader(Closing):
     def _wait_for_a_chunk(self) -> bool:
         """Wait a while for something to send; return whether all was sent and answered and yet is held."""
         with self._changed:
-            self._changed.wait_for(lambda: not self._window.is_empty or self._closed.is_set(), IDLE_SECONDS)
+            seconds = min(IDLE_SECONDS, max(0.0, self._due_at - time.monotonic()))
+            self._changed.wait_for(lambda: self._is_due() or self._closed.is_set(), seconds)
             return not self._window.is_empty and not self._window.has_unsent
 
     def _send_what_may_go(self) -> None:
-        while len(self._under_way) < (1 if self._probing else self._credits):
+        while True:
+            under_way = sum(len(query.sequences) for query in self._under_way)
+            room = (1 if self._probing else self._credits) - under_way
             with self._changed:
-                taken = self._window.take()
-            if taken is None:
+                if room < 1 or not self._is_due():
+                    return
+            self._encode_what_came()
+            sequences, messages = self._taken(min(room, self._most_together))
+            if not messages:
                 return
-            sequence, oldest_held, encoded = taken
+            content, attachment = joined(messages)
             replies = self._querier.get(
-                payload=with_oldest_held(encoded, oldest_held), cancellation_token=self._cancel
+                payload=content, attachment=attachment, cancellation_token=self._cancel
             )
-            self._under_way.append(_UnderWay(sequence, replies))
+            self._under_way.append(_UnderWay(tuple(sequences), replies))
+
+    def _encode_what_came(self) -> None:
+        """Encode what was submitted, outside of the lock which who submits needs."""
+        while True:
+            with self._changed:
+                if not self._raw:
+                    return
+                sequence, chunk = self._raw.popleft()
+            numbered = dataclasses.replace(
+                chunk, actor=self._actor, incarnation=self._incarnation, sequence=sequence, oldest_held=0
+            )
+            encoded = encode_checked(numbered, self._compression)
+            with self._changed:
+                self._window.put(sequence, encoded)
+
+    def _taken(self, most: int) -> tuple[list[int], list[bytes]]:
+        """Take up to `most` chunks out of the window that go together: their sequences and messages."""
+        sequences: list[int] = []
+        messages: list[bytes] = []
+        size = 0
+        with self._changed:
+            while len(messages) < most:
+                taken = self._window.take(MOST_BYTES - size if messages else None)
+                if taken is None:
+                    break
+                sequence, oldest_held, encoded = taken
+                sequences.append(sequence)
+                messages.append(with_oldest_held(encoded, oldest_held))
+                size += len(encoded) + OLDEST_HELD_BYTES
+            if not self._window.has_unsent:
+                self._due_at = math.inf
+        return sequences, messages
 
     def _settle(self, oldest: _UnderWay) -> None:
         """Wait for the answer to the oldest query and act on it."""
@@ -279,7 +355,7 @@ class ChunkUploader(Closing):
                 if reply.ok is not None:
                     outcome = self._acknowledged(reply.ok.payload.to_bytes())
                 elif reply.err is not None:
-                    outcome = self._refused(query.sequence, reply.err.payload.to_bytes())
+                    outcome = self._refused(query.sequences, reply.err.payload.to_bytes())
             except InvalidMessage as error:  # Zenoh's own time-out, or a learner of another release
                 _log.debug("upload: %s", error)
         return outcome
@@ -288,13 +364,21 @@ class ChunkUploader(Closing):
         message = decode_message(athrl_pb2.Acknowledgement, payload)
         self._credits = max(1, message.credits)
         with self._changed:
+            self._learner = _Learner.TAKING
             self._window.acknowledge(message.next_sequence)
             self._changed.notify_all()
         return _Outcome.GO_ON
 
-    def _refused(self, sequence: int, payload: bytes) -> _Outcome:
+    def _refused(self, sequences: tuple[int, ...], payload: bytes) -> _Outcome:
+        """Act on the refusal of one chunk of a query; those before it in the query are settled."""
         message = decode_message(athrl_pb2.Refusal, payload)
+        if message.index >= len(sequences):
+            raise InvalidMessage("value", f"refusal: of chunk {message.index} of {len(sequences)}")
+        sequence = sequences[message.index]
         with self._changed:
+            if message.index:
+                self._window.acknowledge(sequence)
+            self._changed.notify_all()
             if message.reason == athrl_pb2.Refusal.BUSY:
                 return _Outcome.BUSY
             if message.reason == athrl_pb2.Refusal.EXPECTED:
@@ -303,11 +387,13 @@ class ChunkUploader(Closing):
             if message.reason == athrl_pb2.Refusal.INVALID:
                 _log.warning("the learner refused chunk %d: %s", sequence, message.text)
                 self._window.give_up(sequence)
-                self._changed.notify_all()
-                return _Outcome.GO_ON
+                if sequence == sequences[-1]:
+                    return _Outcome.GO_ON
+                self._window.rewind_to(sequence + 1)  # nobody looked at those behind it
+                return _Outcome.REWIND
             if message.reason == athrl_pb2.Refusal.FINISHED:
                 self._finished = True
+                self._raw.clear()
                 self._window.give_up_all("finished")
-                self._changed.notify_all()
                 return _Outcome.GO_ON
         return _Outcome.SILENCE

@@ -33,13 +33,16 @@ class UploadStatistics:
 
 
 class UploadWindow:
-    """Encoded chunks from the oldest that is not acknowledged to the newest, at most `capacity`."""
+    """Encoded chunks from the oldest that is not acknowledged to the newest, at most `capacity`.
+
+    A chunk has its place from `reserve` on, and can be taken once it is there.
+    """
 
     def __init__(self, capacity: int) -> None:
         if capacity < 1:
             raise ValueError(f"capacity is {capacity}, should be at least 1")
         self._capacity = capacity
-        self._held: dict[int, bytes] = {}  # by sequence, in order
+        self._held: dict[int, bytes | None] = {}  # by sequence, in order; None until it is there
         self._added = 0
         self._next = 0
         self._sent_up_to = 0
@@ -62,31 +65,54 @@ class UploadWindow:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether `take` would return a chunk."""
-        return any(sequence >= self._next for sequence in reversed(self._held))
+        """Whether there is a chunk, there yet or not, that was not taken since the last rewind."""
+        return next(reversed(self._held), -1) >= self._next
+
+    @property
+    def unsent(self) -> int:
+        """How many chunks were not taken since the last rewind, those included that were given up."""
+        return self._added - self._next
+
+    @property
+    def has_to_resend(self) -> bool:
+        """Whether the chunk that goes next went before."""
+        return self._next < self._sent_up_to
 
     @property
     def next_sequence(self) -> int:
         """Sequence of the next chunk to be added."""
         return self._added
 
+    def reserve(self) -> int:
+        """Give the next chunk its place; return its sequence."""
+        self._held[self._added] = None
+        self._added += 1
+        return self._added - 1
+
+    def put(self, sequence: int, encoded: bytes) -> None:
+        """Hold the chunk for which there is a place, unless it was given up meanwhile."""
+        if sequence in self._held:
+            self._held[sequence] = encoded
+
     def add(self, encoded: bytes) -> None:
         """Hold a chunk that was encoded with `next_sequence`."""
-        self._held[self._added] = encoded
-        self._added += 1
+        self.put(self.reserve(), encoded)
 
-    def take(self) -> tuple[int, int, bytes] | None:
-        """Return (sequence, oldest held sequence, encoded chunk) of what goes next, or None."""
+    def take(self, largest: int | None = None) -> tuple[int, int, bytes] | None:
+        """Return (sequence, oldest held sequence, encoded chunk) of what goes next, or None.
+
+        None as well if that has more than `largest` bytes.
+        """
         while self._next < self._added and self._next not in self._held:
             self._next += 1
-        if self._next >= self._added:
+        sequence, encoded = self._next, self._held.get(self._next)
+        if encoded is None or (largest is not None and len(encoded) > largest):
             return None
-        sequence = self._next
         self._next += 1
         if sequence < self._sent_up_to:
             self._resent += 1
         self._sent_up_to = max(self._sent_up_to, self._next)
-        return sequence, next(iter(self._held)), self._held[sequence]
+        return sequence, next(iter(self._held)), encoded
 
     def acknowledge(self, next_sequence: int) -> None:
         """Drop all chunks below `next_sequence`; what was never sent stays."""

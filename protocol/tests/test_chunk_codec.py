@@ -7,15 +7,26 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import lz4.block
 import numpy as np
 import pytest
 import zstandard
-from athrl_protocol import Chunk, InvalidMessage, LevelColumns, athrl_pb2, decode_chunk, encode_chunk
+from athrl_protocol import (
+    Chunk,
+    InvalidMessage,
+    LevelColumns,
+    athrl_pb2,
+    decode_chunk,
+    encode_chunk,
+    image_codec,
+)
 from athrl_protocol.chunk_codec import MAXIMUM_IMAGES_BYTES, with_oldest_held
+from athrl_protocol.image_codec import Compression
 from hypothesis import given, settings
 from hypothesis import strategies as some
 from hypothesis.extra import numpy as arrays
 
+COMPRESSIONS: tuple[Compression, ...] = ("zstd", "lz4", "none")
 _finite = some.floats(-1e6, 1e6, width=32)
 _quick = settings(max_examples=40, deadline=None)
 
@@ -68,9 +79,16 @@ def _plain(chunk: Chunk) -> dict[str, Any]:
 
 
 @_quick
-@given(chunks())
-def test_decoded_chunk_equals_the_encoded_one(chunk: Chunk) -> None:
-    assert _plain(decode_chunk(encode_chunk(chunk))) == _plain(chunk)
+@given(chunks(), some.sampled_from(COMPRESSIONS))
+def test_decoded_chunk_equals_the_encoded_one(chunk: Chunk, compression: Compression) -> None:
+    assert _plain(decode_chunk(encode_chunk(chunk, compression))) == _plain(chunk)
+
+
+def test_message_is_the_one_that_protobuf_writes(make_chunk: Callable[..., Chunk]) -> None:
+    payload = encode_chunk(dataclasses.replace(make_chunk(time=200), actor="a"), "none")
+    message = athrl_pb2.Chunk.FromString(payload)
+    assert len(message.images) == 201 * 8 * 8 * 4
+    assert len(message.SerializeToString()) == len(payload)
 
 
 @_quick
@@ -88,9 +106,11 @@ def test_random_bytes_are_refused(payload: bytes) -> None:
 
 
 @_quick
-@given(some.data())
-def test_damaged_message_is_refused_or_still_a_valid_chunk(data: some.DataObject) -> None:
-    payload = bytearray(encode_chunk(data.draw(chunks())))
+@given(some.data(), some.sampled_from(COMPRESSIONS))
+def test_damaged_message_is_refused_or_still_a_valid_chunk(
+    data: some.DataObject, compression: Compression
+) -> None:
+    payload = bytearray(encode_chunk(data.draw(chunks()), compression))
     for _ in range(data.draw(some.integers(1, 4))):
         payload[data.draw(some.integers(0, len(payload) - 1))] = data.draw(some.integers(0, 255))
     cut = data.draw(some.integers(1, len(payload)))
@@ -132,7 +152,7 @@ def _changed(make_chunk: Callable[..., Chunk], **fields: Any) -> bytes:
     [
         ({"time": 0}, "time 0"),
         ({"time": 2**31}, "out of bounds"),
-        ({"time": 5}, "needs"),
+        ({"time": 5}, "images unpack to 1280 bytes, should be 1536"),
         ({"length": 0}, "length is 0, should be 1 to time = 4"),
         ({"length": 5}, "length is 5, should be 1 to time = 4"),
         ({"image_height": 9}, "images unpack to 1280 bytes"),
@@ -144,6 +164,12 @@ def _changed(make_chunk: Callable[..., Chunk], **fields: Any) -> bytes:
         ({"policy_version": (b"\xff" * 8) * 4}, "negative"),
         ({"images": b"no zstd"}, "zstd"),
         ({"images": b""}, "zstd"),
+        ({"images": b"", "image_compression": 1}, "cannot unpack to 1280"),
+        ({"images": b"no block", "image_compression": 1}, "no LZ4 block"),
+        ({"image_compression": 1, "image_height": 2**9}, "cannot unpack to|no LZ4 block"),
+        ({"image_compression": 2}, "images unpack to"),
+        ({"images": bytes(1279), "image_compression": 2}, "images unpack to 1279 bytes, should be 1280"),
+        ({"image_compression": 3}, "image_compression 3 is not known"),
         ({"actor": "a/b"}, "actor 'a/b' cannot be used"),
         ({"actor": ""}, "cannot be used"),
     ],
@@ -175,14 +201,15 @@ def test_bomb_is_refused_before_it_is_unpacked(
     def unpack(*_: object, **__: object) -> bytes:
         raise AssertionError("a bomb was unpacked")
 
-    monkeypatch.setattr(
-        "athrl_protocol.chunk_codec._compression.decompressor", type("", (), {"decompress": unpack})
-    )
+    monkeypatch.setattr(image_codec._zstd, "decompressor", type("", (), {"decompress": unpack}))
+    monkeypatch.setattr(image_codec.lz4.block, "decompress", unpack)
     bomb = zstandard.ZstdCompressor(level=19).compress(bytes(MAXIMUM_IMAGES_BYTES))
     assert len(bomb) < 10_000
     for payload in (
         _changed(make_chunk, images=bomb),
         _changed(make_chunk, images=bomb, image_height=2**12, image_width=2**12),
+        # an LZ4 block is never that much smaller than its content
+        _changed(make_chunk, images=bomb, image_compression=1, image_height=2**11, image_width=2**11),
         # a frame that does not say how large its content is
         _changed(make_chunk, images=zstandard.ZstdCompressor(write_content_size=False).compress(bytes(1280))),
     ):
@@ -204,6 +231,14 @@ def test_frame_that_lies_about_its_size_is_refused(make_chunk: Callable[..., Chu
         decode_chunk(_changed(make_chunk, images=bytes(liar)))
     with pytest.raises(InvalidMessage):
         decode_chunk(_changed(make_chunk, images=honest + honest))
+
+
+@pytest.mark.parametrize("content", [1279, 1281, 100_000])
+def test_lz4_block_of_another_size_is_refused(make_chunk: Callable[..., Chunk], content: int) -> None:
+    block = lz4.block.compress(np.random.default_rng(1).bytes(content), store_size=False)
+    with pytest.raises(InvalidMessage) as caught:
+        decode_chunk(_changed(make_chunk, images=block, image_compression=1))
+    assert caught.value.reason in ("size", "images")
 
 
 def test_too_long_message_is_refused() -> None:

@@ -158,8 +158,13 @@ def test_replaced_actor_is_heard_at_once_while_the_former_one_still_sends(
 
 
 def test_gap_is_asked_for_again_and_every_chunk_is_stored_once_in_order(
-    uploader: ChunkUploader, listen: Open, make_chunk: Make, eventually: Callable[..., None]
+    uploader: ChunkUploader,
+    listen: Open,
+    make_chunk: Make,
+    eventually: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("athrl_protocol.upload.MOST_CHUNKS", 1)
     marks: list[int] = []
     all_submitted, several_under_way, sent_back = (threading.Event() for _ in range(3))
 

@@ -38,7 +38,7 @@ def test_every_message_that_travels_alone_begins_with_version_and_hash() -> None
             assert numbers == [(1, "schema_version"), (2, "schema_hash")], name
 
 
-@pytest.mark.parametrize("change", [{"schema_version": 2}, {"schema_hash": 1}])
+@pytest.mark.parametrize("change", [{"schema_version": 99}, {"schema_hash": 1}])
 def test_message_of_another_schema_is_refused_by_name(change: dict[str, int]) -> None:
     message = athrl_pb2.Metrics.FromString(encode_message(athrl_pb2.Metrics(role="actor")))
     for name, value in change.items():

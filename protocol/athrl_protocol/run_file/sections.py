@@ -283,6 +283,11 @@ class NetworkSection(Section):
         description="Folder of the certificates by which services know each other, made by `athrl "
         "certificates`; empty: ATHRL_CERTIFICATES, or without any no encryption and no check.",
     )
+    compression: Literal["lz4", "zstd", "none"] = Field(
+        default="lz4",
+        description="Of images on their way to the learner and in its log. zstd: half the bytes of lz4 for "
+        "twice the work; none: ten times the bytes, for one machine.",
+    )
     patience: float = Field(
         default=30.0,
         gt=0,

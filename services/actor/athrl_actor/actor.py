@@ -82,8 +82,16 @@ class Actor:
         self._states = stack.enter_context(StateSubscriber(session, run))
         self._metrics = stack.enter_context(MetricsPublisher(session, run, ROLE, name))
         self._frames = stack.enter_context(FramePublisher(session, run, ROLE, name))
-        capacity = run_file.actor.unacknowledged_chunks
-        self._uploader = stack.enter_context(ChunkUploader(session, run, name, incarnation, capacity))
+        self._uploader = stack.enter_context(
+            ChunkUploader(
+                session,
+                run,
+                name,
+                incarnation,
+                run_file.actor.unacknowledged_chunks,
+                run_file.network.compression,
+            )
+        )
         self._pending: deque[Chunk] = deque()  # not yet taken by the uploader
         self._update: PolicyUpdate | None = None
         self._reported_at = time.monotonic()
