@@ -204,5 +204,11 @@ class FakeActor:
 
 
 @pytest.fixture
+def make_actor(free_address: str) -> Callable[..., FakeActor]:
+    """An actor of the small run that sends what the given function makes, under a name."""
+    return lambda make, name: FakeActor(free_address, make, name)
+
+
+@pytest.fixture
 def fake_actor(free_address: str, make_chunk: Callable[..., Chunk]) -> FakeActor:
     return FakeActor(free_address, make_chunk)

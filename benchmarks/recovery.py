@@ -1,0 +1,221 @@
+"""How soon a run goes on after each fault: killed, paused for longer than the lease, cut off.
+
+A real run, each service a process of its own: learner, an actor at the learner, one behind a router, an
+evaluator. The clock starts when the last one that was hit returns: the successor of a killed process is
+started, a paused one goes on, the network is mended. The run goes on when a chunk of every actor that was hit
+is in the learner's log and the count of updates rises; an evaluator when it says something again. At the end
+every chunk has to be in the log once, and no fewer than the actors were told.
+
+    python -m benchmarks.recovery                   about seven minutes
+    python -m benchmarks.recovery --pause 8 --rounds 1
+
+A partition takes root, `ip` and `iptables`; without them that row is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import statistics
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from athrl_protocol import PolicySubscriber, PolicyUpdate
+
+from benchmarks.router import free_address
+from tests.conftest import Command
+from tests.liveness import network
+from tests.liveness.fleet import RUN, STARTING, Fleet
+
+NEAR, DISTANT = "actor-near", "actor-distant"
+ACTORS = (NEAR, DISTANT)
+SETTINGS = {
+    "run.environment_steps": 100_000_000,
+    "environment.vehicles": 30,
+    "exploration.random_decisions": 200,
+    "learner.samples_per_insert": 1.0,  # so that the actors never wait for training
+    "learner.publish_seconds": 0.1,  # a publication tells the count of updates
+    "learner.checkpoint_seconds": 20.0,
+    "learner.checkpoints_kept": 1000,  # the whole log is looked through at the end
+    "actor.environments": 2,
+    "evaluator.episodes": 2,
+    "evaluator.seconds_between": 0.0,
+}
+_POLL = 0.01
+_CALM = 5.0  # between two faults
+_PATIENCE = 120.0
+
+
+class Updates:
+    """The learner's count of updates, as its publications tell it."""
+
+    def __init__(self) -> None:
+        self._told: list[tuple[float, int]] = []
+
+    def take(self, policy: PolicyUpdate) -> None:
+        """Hear of a publication."""
+        self._told.append((time.monotonic(), policy.updates))
+
+    def rose_after(self, moment: float, anew: bool) -> float | None:
+        """When it was first heard to rise after `moment`; `anew`: above what a new learner begins with."""
+        later = [updates for at, updates in self._told if at > moment]
+        earlier = [updates for at, updates in self._told if at <= moment]
+        known = min(later[:1] if anew else earlier[-1:], default=None)
+        if known is None:
+            return None
+        return next((at for at, updates in self._told if at > moment and updates > known), None)
+
+
+class Trial:
+    """A fleet at work, and what was measured on it."""
+
+    def __init__(self, fleet: Fleet, pause: float) -> None:
+        self.fleet = fleet
+        self.updates = Updates()
+        self.seconds: defaultdict[str, list[dict[str, float]]] = defaultdict(list)
+        self._pause = pause
+
+    def kill(self, name: str, actors: Iterable[str]) -> None:
+        """Kill a service, and start its successor at once."""
+        self.fleet.kill(name)
+        self._measure(f"{name} killed", lambda: self.fleet.start_again(name), actors, name)
+
+    def stand_still(self, name: str, actors: Iterable[str]) -> None:
+        """Pause a service."""
+        self.fleet.signal([name], signal.SIGSTOP)
+        time.sleep(self._pause)
+        go_on = lambda: self.fleet.signal([name], signal.SIGCONT)  # noqa: E731
+        self._measure(f"{name} paused {self._pause:g} s", go_on, actors, name)
+
+    def cut(self, island: network.Network) -> None:
+        """Let nothing through to an actor and a router, the distant actor's."""
+        island.cut()
+        time.sleep(self._pause)
+        self._measure(f"network cut {self._pause:g} s", island.mend, ACTORS, "")
+
+    def _measure(self, fault: str, comes_back: Callable[[], None], actors: Iterable[str], who: str) -> None:
+        mark, began = self.fleet.mark(), time.monotonic()
+        comes_back()
+        waiting, after = set(actors), {}
+        while True:
+            now = time.monotonic()
+            content = self.fleet.stored_since(mark) if waiting else b""
+            for name in [name for name in waiting if name.encode() in content]:
+                waiting.discard(name)
+                after[name] = now - began
+            rose = self.updates.rose_after(began, anew=who == "learner" and "killed" in fault)
+            if rose is not None:
+                after["updates"] = rose - began
+            heard = who != "evaluator" or self.fleet.heard_at["evaluator"] > began
+            if who == "evaluator" and heard:
+                after["words"] = self.fleet.heard_at["evaluator"] - began
+            if not waiting and rose is not None and heard:
+                break
+            if now - began > _PATIENCE:
+                raise SystemExit(f"the run does not go on\n{self.fleet.story(self.fleet.processes)}")
+            time.sleep(_POLL)
+        after["all"] = max(after.values())
+        self.seconds[fault].append(after)
+        print(f"{fault:28s}", "  ".join(f"{name} {value:6.2f}" for name, value in after.items()), flush=True)
+        time.sleep(_CALM)
+
+
+@contextlib.contextmanager
+def whole_run(folder: Path, island: network.Network | None) -> Iterator[Fleet]:
+    """Every service at work; with an island an actor and the router are there. All are gone at the end."""
+    command = Command(folder)
+    port = free_address().rpartition(":")[2]
+    address = f"tcp/{island.here if island else '127.0.0.1'}:{port}"
+    settings = {**SETTINGS, "network.listen": address}
+    words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+    fleet = Fleet(command, words, address)
+    within = island.within if island else ()
+    router = free_address()
+    try:
+        fleet.start_learner()
+        fleet.start_client(NEAR, "actor", within=within)
+        fleet.start("router", "router", "--listen", router, "--connect", address, within=within)
+        fleet.start_client(DISTANT, "actor", router, within=within)
+        if island is None:
+            fleet.start_client("evaluator", "evaluator", router)
+        yield fleet
+    finally:
+        command.end_all()
+
+
+@contextlib.contextmanager
+def at_work(fleet: Fleet, pause: float) -> Iterator[Trial]:
+    """Wait until everybody works, and let them leave at the end, which checks every chunk."""
+    trial = Trial(fleet, pause)
+    with fleet.watch() as session, PolicySubscriber(session, RUN, trial.updates.take):
+        fleet.await_storing(ACTORS, fleet.mark(), STARTING)
+        if "evaluator" in fleet.processes:
+            fleet.await_word("evaluator", STARTING)
+        deadline = time.monotonic() + STARTING
+        while trial.updates.rose_after(0.0, anew=True) is None:
+            if time.monotonic() > deadline:
+                raise SystemExit(f"nothing is trained\n{fleet.story(['learner'])}")
+            time.sleep(_POLL)
+        time.sleep(_CALM)
+        yield trial
+        fleet.leave()
+
+
+def faults_of_processes(rounds: int, pause: float) -> dict[str, list[dict[str, float]]]:
+    """Kill and pause everybody in turn."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        whole_run(Path(folder), None) as fleet,
+        at_work(fleet, pause) as trial,
+    ):
+        hit = {"learner": ACTORS, NEAR: (NEAR,), "router": (DISTANT,), "evaluator": ()}
+        for _ in range(rounds):
+            for name, actors in hit.items():
+                trial.kill(name, actors)
+        for name, actors in hit.items():
+            trial.stand_still(name, actors)
+    return dict(trial.seconds)
+
+
+def partition(pause: float) -> dict[str, list[dict[str, float]]]:
+    """Cut an actor and a router off."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        network.Network() as island,
+        whole_run(Path(folder), island) as fleet,
+        at_work(fleet, pause) as trial,
+    ):
+        trial.cut(island)
+    return dict(trial.seconds)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=3, help="kills of each")
+    parser.add_argument("--pause", type=float, default=30.0, help="seconds of a pause and of a cut network")
+    arguments = parser.parse_args()
+    seconds = faults_of_processes(arguments.rounds, arguments.pause)
+    reason = network.why_not()
+    if reason:
+        print(f"no network is cut: {reason}")
+    else:
+        seconds |= partition(arguments.pause)
+    print("| fault | times | goes on after, s, median | worst |\n|---|---|---|---|")
+    rows = {}
+    for fault, measured in seconds.items():
+        every = [after["all"] for after in measured]
+        rows[fault] = {"times": len(every), "median_s": statistics.median(every), "worst_s": max(every)}
+        print(f"| {fault} | {len(every)} | {rows[fault]['median_s']:.1f} | {rows[fault]['worst_s']:.1f} |")
+    rounded = {fault: {name: round(value, 2) for name, value in row.items()} for fault, row in rows.items()}
+    print(json.dumps({"cores": os.cpu_count(), "load": round(os.getloadavg()[0], 1), "seconds": rounded}))
+
+
+if __name__ == "__main__":
+    main()
