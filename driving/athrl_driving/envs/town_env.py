@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
@@ -19,6 +19,9 @@ from athrl_driving.maps import Town
 from athrl_driving.reward import REWARD_TERMS
 from athrl_driving.route import Route
 from athrl_driving.scene import Scene
+
+if TYPE_CHECKING:
+    from athrl_driving.envs.viewer import TownViewer
 
 _REMADE = (
     "viewer",
@@ -43,6 +46,7 @@ class TownEnv(AbstractEnv):
 
     config: dict[str, Any]
     enable_auto_render: bool
+    viewer: TownViewer | None
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 5}
 
     def __init__(
@@ -170,6 +174,14 @@ class TownEnv(AbstractEnv):
 
     def _info(self, obs: dict, action: NDArray[np.floating] | None = None) -> dict[str, Any]:
         return self.episodes.info(0)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Show the town around the ego: a picture, uint8 [height, width, 3], or a window (`human`)."""
+        if self.viewer is None and self.render_mode is not None:
+            from athrl_driving.envs.viewer import TownViewer  # for nobody who renders nothing
+
+            self.viewer = TownViewer(self, offscreen=self.config["offscreen_rendering"])
+        return super().render()
 
     def scene(self) -> Scene:
         """The present moment, for a live view or a recording."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numbers
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -23,13 +23,17 @@ from athrl_driving.episode import DECIDE
 from athrl_driving.errors import DrivingError
 from athrl_driving.scene import Scene
 
+if TYPE_CHECKING:
+    from athrl_driving.envs.viewer import BatchViewer
+
 Observations = dict[str, NDArray]
 
 
 class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     """`num_envs` towns, each of which does exactly what a `TownEnv` with its seed and its actions would do.
 
-    `config`, `map` and `scenario` are those of `TownEnv`; the settings are fixed when it is made. `threads`,
+    `config`, `map` and `scenario` are those of `TownEnv`; the settings are fixed when it is made. With
+    `render_mode="rgb_array"`, `render` returns a picture of each; there is no window of many. `threads`,
     from 1 on, is how many work at a step at most, by default as many as the process has cores. Each has at
     least four environments, as fewer cost more than they bring: the attribute `threads` tells how many work.
     The results do not depend on it. `autoreset_mode` is gymnasium's: an
@@ -41,20 +45,27 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         self,
         num_envs: int = 1,
         config: Mapping[str, Any] | None = None,
-        render_mode: None = None,
+        render_mode: str | None = None,
         map: str | None = None,
         scenario: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
     ) -> None:
-        if render_mode is not None:
+        if render_mode not in (None, "rgb_array"):
             raise DrivingError(
-                f"render_mode is {render_mode!r}, but a vector of towns does not render: use row(e)"
+                f"render_mode is {render_mode!r}, it should be None or 'rgb_array': "
+                "many towns have no window in common"
             )
+        self.render_mode = render_mode
+        self._viewer: BatchViewer | None = None
         self.num_envs = _whole_number("num_envs", num_envs)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.config = changed_settings(first_settings(TownEnv.default_config(), scenario), config, map)
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": self.config["policy_frequency"],
+            "autoreset_mode": self.autoreset_mode,
+        }
         self.town = town_of(self.config)
         most = len(os.sched_getaffinity(0)) if threads is None else _whole_number("threads", threads)
         self.episodes = new_episodes(self.config, self.town, num_envs, most)
@@ -142,9 +153,20 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         """The present moment of environment `e`."""
         return self._rows[e].scene()
 
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Pictures of all environments, uint8 [height, width, 3] each; None with `render_mode=None`."""
+        if self.render_mode is None:
+            return None
+        if self._viewer is None:
+            from athrl_driving.envs.viewer import BatchViewer  # for nobody who renders nothing
+
+            self._viewer = BatchViewer(self._rows)
+        return self._viewer.images()
+
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
+        """End the threads and the viewer."""
         self.episodes.close()
+        self._viewer = None
 
     def _step_after_reset(self, actions: NDArray[np.float32]) -> tuple:
         """Step, or begin anew where the last step ended an episode."""
