@@ -4,8 +4,9 @@ The actor is the real one, in this process: environments, perception, exploratio
 ONNX Runtime, chunks, upload. Its learner is a process of its own which takes chunks in, writes them down and
 acknowledges them, without training; it shares the machine. In turns the actor streams, and drives the same
 environments without gathering, encoding or sending anything. A decision's cost is told by thread: gathering
-is what the driving thread takes beyond driving; the uploader's thread encodes, sends and hears answers;
-Zenoh's own threads are the network. Encoding and compression are measured alone, on chunks that were sent.
+is what the driving thread takes beyond driving, with a check of each chunk; the uploader's thread encodes,
+sends and hears answers; Zenoh's own threads are the network. Check, encoding and, within that, compression
+are measured alone as well, on chunks that were sent.
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from athrl_actor.actor import ROLE, Actor
 from athrl_actor.rollout import Rollout
-from athrl_protocol import Chunk, RunFile, encode_chunk, join_run, read_run_file
+from athrl_protocol import Chunk, RunFile, join_run, read_run_file
+from athrl_protocol.chunk import check_chunk
+from athrl_protocol.chunk_codec import encode_checked
+from athrl_protocol.image_codec import pack_images
 
 from benchmarks.router import free_address
 
@@ -180,16 +184,14 @@ class Measured:
         return steps * len(actor._batch)
 
 
-def encoding(chunks: list[Chunk], seconds: float = 1.0) -> tuple[float, float]:
-    """Microseconds that encoding a transition takes, and its bytes."""
-    size = sum(len(encode_chunk(chunk)) for chunk in chunks)
-    length = sum(chunk.length for chunk in chunks)
+def cost_of(work: Callable[[Chunk], object], chunks: list[Chunk], seconds: float = 0.5) -> float:
+    """Microseconds of work for a transition."""
     transitions, began = 0, time.process_time()
     while time.process_time() - began < seconds:
         for chunk in chunks:
-            encode_chunk(chunk)
-        transitions += length
-    return 1e6 * (time.process_time() - began) / transitions, size / length
+            work(chunk)
+            transitions += chunk.length
+    return 1e6 * (time.process_time() - began) / transitions
 
 
 def measure(run_file: RunFile, address: str, seconds: float) -> dict[str, float]:
@@ -207,7 +209,8 @@ def measure(run_file: RunFile, address: str, seconds: float) -> dict[str, float]
                 measured.turn(streaming, seconds / _TURNS / 2)
         streamed, silent = measured.laps[True], measured.laps[False]
         uploads = actor._uploader.statistics()
-        encode_us, size = encoding(measured.rollout.kept)
+        kept, compression = measured.rollout.kept, run_file.network.compression
+        length = sum(chunk.length for chunk in kept)
         upload = streamed.microseconds("upload") - silent.microseconds("upload")
         network = streamed.microseconds("network") - silent.microseconds("network")
         gathering = streamed.microseconds("driving") - silent.microseconds("driving")
@@ -218,12 +221,14 @@ def measure(run_file: RunFile, address: str, seconds: float) -> dict[str, float]
             "share_of_cpu": (full - base) / full,
             "gathering_us": gathering,
             "upload_thread_us": upload,
-            "encoding_us": encode_us,
+            "checking_us": cost_of(check_chunk, kept),
+            "encoding_us": cost_of(lambda chunk: encode_checked(chunk, compression), kept),
+            "compression_us": cost_of(lambda chunk: pack_images(chunk.images, compression), kept),
             "network_us": network,
             "clock_driving_us": statistics.median(silent.clock),
             "clock_streaming_us": statistics.median(streamed.clock) - statistics.median(silent.clock),
             "share_of_clock": 1 - statistics.median(silent.clock) / statistics.median(streamed.clock),
-            "bytes_per_transition": size,
+            "bytes_per_transition": sum(len(encode_checked(chunk, compression)) for chunk in kept) / length,
             "decisions": streamed.decisions,
             "chunks_resent": uploads.resent,
         }
@@ -248,7 +253,8 @@ def main() -> None:
     for name, value in row.items():
         print(f"{name:24s} {value:12,.3f}")
     facts = {"cores": os.cpu_count(), "load": load, "environments": run_file.actor.environments}
-    print(json.dumps({**facts, "steps": run_file.replay.sequence_length, **row}))
+    facts |= {"steps": run_file.replay.sequence_length, "compression": run_file.network.compression}
+    print(json.dumps({**facts, **row}))
 
 
 if __name__ == "__main__":

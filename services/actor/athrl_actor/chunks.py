@@ -1,9 +1,8 @@
-"""Cut one environment's episodes into chunks of a fixed length."""
+"""Cut the episodes of a batch of environments into chunks of a fixed length, all environments at once."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,136 +11,183 @@ from athrl_protocol import Chunk, LevelColumns
 Arrays = Mapping[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class Transition:
-    """One decision of one environment; the arrays may be views, the builder copies them."""
+class ChunkCutter:
+    """Collects what happens; an environment's chunk is full after `time` decisions or at its episode's end.
 
-    image: np.ndarray  # uint8 [H, W, C], what the decision was based on
-    motion: np.ndarray  # float32 [m]
-    states: Arrays  # of each level float32 [s], the recurrent state before the decision
-    actions: Arrays  # of each level float32 [n], physical units, noise included
-    rewards: Mapping[str, float]  # of each level
-    policy_version: int
-    next_image: np.ndarray  # uint8 [H, W, C], the terminal observation where the episode ended
-    next_motion: np.ndarray  # float32 [m]
-    terminated: bool
-    truncated: bool
+    The columns of the open chunks are arrays over all environments, written where each one is. Row `length`
+    of the observations is always the present one: the next decision's, or what the last one led to.
 
+    Args:
+        actor: name of the actor.
+        incarnation: of its process.
+        time: decisions in a chunk.
+        image_shape: height, width, channels.
+        motion_size: numbers beside the image.
+        levels: action size and state size of each level, by name from the highest down.
+        environments: how many.
+    """
 
-class ChunkBuilder:
-    """Collects an environment's transitions; a chunk is full after `time` of them or at the episode's end."""
-
-    def __init__(self, actor: str, incarnation: int, environment: int, time: int) -> None:
+    def __init__(
+        self,
+        actor: str,
+        incarnation: int,
+        *,
+        time: int,
+        image_shape: tuple[int, ...],
+        motion_size: int,
+        levels: Mapping[str, tuple[int, int]],
+        environments: int,
+    ) -> None:
         self._actor = actor
         self._incarnation = incarnation
-        self._environment = environment
         self._time = time
-        self._episode_seed = 0
-        self._first_step = 0
-        self._columns: _Columns | None = None
+        self._rows = np.arange(environments)
+        self._length = np.zeros(environments, np.int64)
+        self._episode_seeds = [0] * environments
+        self._first_steps = [0] * environments
+        self._images = np.zeros((environments, time + 1, *image_shape), np.uint8)
+        self._motion = np.zeros((environments, time + 1, motion_size), np.float32)
+        self._policy_version = np.zeros((environments, time), np.int64)
+        self._rewards = {level: np.zeros((environments, time), np.float32) for level in levels}
+        self._actions = {
+            level: np.zeros((environments, time, actions), np.float32)
+            for level, (actions, _) in levels.items()
+        }
+        self._initial_states = {
+            level: np.zeros((environments, state), np.float32) for level, (_, state) in levels.items()
+        }
 
-    def begin(self, episode_seed: int) -> None:
-        """Start a new episode; what is left of the last one must have been taken by `add` or `flush`."""
-        if self._columns is not None:
+    def begin(self, row: int, episode_seed: int, image: np.ndarray, motion: np.ndarray) -> None:
+        """Start an episode in one environment, which is seen as `image` [H, W, C] and `motion` [m].
+
+        What is left of the last one must have been taken by `add`, `flush` or `drop`.
+        """
+        if self._length[row]:
             raise RuntimeError("an episode begins while transitions of the last one are pending")
-        self._episode_seed = episode_seed
-        self._first_step = 0
+        self._episode_seeds[row], self._first_steps[row] = episode_seed, 0
+        self._images[row, 0], self._motion[row, 0] = image, motion
 
-    def add(self, transition: Transition) -> Chunk | None:
-        """Take the next transition of the episode; returns the chunk that it completes, sequence 0."""
-        if self._columns is None:
-            self._columns = _Columns.for_first(transition, self._time)
-        self._columns.append(transition)
-        if self._columns.length == self._time or transition.terminated or transition.truncated:
-            return self.flush()
-        return None
+    def add(
+        self,
+        *,
+        states: Arrays,
+        actions: Arrays,
+        rewards: Arrays,
+        policy_version: int,
+        images: np.ndarray,
+        motion: np.ndarray,
+        terminated: np.ndarray,
+        truncated: np.ndarray,
+    ) -> list[Chunk]:
+        """Take a decision of every environment; returns the chunks that it completes, with sequence 0.
 
-    def flush(self) -> Chunk | None:
-        """Return the transitions so far as a padded chunk, None if there are none; the episode may go on."""
-        columns, self._columns = self._columns, None
-        if columns is None:
-            return None
+        The arrays are copied.
+
+        Args:
+            states: of each level float32 [batch, s], the recurrent state before the decision.
+            actions: of each level float32 [batch, n], physical units, noise included.
+            rewards: of each level float32 [batch].
+            policy_version: that decided.
+            images: uint8 [batch, H, W, C], what the decision led to; terminal where the episode ended.
+            motion: float32 [batch, m], likewise.
+            terminated: bool [batch], the decision ended the episode.
+            truncated: bool [batch], it met the time limit.
+        """
+        rows, at = self._rows, self._length
+        first = np.flatnonzero(at == 0)
+        if first.size:
+            for level, initial in self._initial_states.items():
+                initial[first] = states[level][first]
+        for level, column in self._actions.items():
+            column[rows, at] = actions[level]
+            self._rewards[level][rows, at] = rewards[level]
+        self._policy_version[rows, at] = policy_version
+        at += 1
+        self._images[rows, at] = images
+        self._motion[rows, at] = motion
+        full = np.flatnonzero((at == self._time) | terminated | truncated)
+        return [self._take(row, bool(terminated[row]), bool(truncated[row])) for row in full.tolist()]
+
+    def flush(self) -> list[Chunk]:
+        """Return the transitions so far as padded chunks; the episodes may go on."""
+        return [self._take(row, False, False) for row in np.flatnonzero(self._length).tolist()]
+
+    def drop(self, rows: Iterable[int]) -> int:
+        """Forget the transitions of some environments since their last chunks; how many chunks that costs."""
+        given_up = list(rows)
+        dropped = int(np.count_nonzero(self._length[given_up]))
+        self._length[given_up] = 0
+        return dropped
+
+    def state(self) -> dict[str, Any]:
+        """Where the episodes are, and the open chunks: what `load_state` goes on from."""
+        return {
+            "episode_seeds": list(self._episode_seeds),
+            "first_steps": list(self._first_steps),
+            "columns": {name: column.copy() for name, column in self._columns().items()},
+        }
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Go on in the middle of episodes, as the cutter was that `state` is of.
+
+        Raises:
+            KeyError, TypeError, ValueError: `state` does not fit.
+        """
+        self._episode_seeds = [int(seed) for seed in state["episode_seeds"]]
+        self._first_steps = [int(step) for step in state["first_steps"]]
+        for name, column in self._columns().items():
+            column[:] = state["columns"][name]
+
+    def _columns(self) -> dict[str, np.ndarray]:
+        """Every array by a name."""
+        columns: dict[str, np.ndarray] = {
+            "length": self._length,
+            "images": self._images,
+            "motion": self._motion,
+            "policy_version": self._policy_version,
+        }
+        of_levels = {
+            "actions": self._actions,
+            "rewards": self._rewards,
+            "initial_states": self._initial_states,
+        }
+        for kind, levels in of_levels.items():
+            columns |= {f"{kind}/{level}": column for level, column in levels.items()}
+        return columns
+
+    def _take(self, row: int, terminated: bool, truncated: bool) -> Chunk:
+        """Return one environment's open chunk, and open the next one with what is seen now."""
+        length = int(self._length[row])
         chunk = Chunk(
             actor=self._actor,
             incarnation=self._incarnation,
             sequence=0,
-            environment=self._environment,
-            episode_seed=self._episode_seed,
-            first_step=self._first_step,
-            length=columns.length,
-            images=columns.images,
-            motion=columns.motion,
-            levels=columns.levels,
-            policy_version=columns.policy_version,
-            terminated=columns.terminated,
-            truncated=columns.truncated,
-        )
-        self._first_step += columns.length
-        return chunk
-
-    def state(self) -> dict[str, Any]:
-        """What `load_state` goes on from: where the episode is, and the transitions of the open chunk."""
-        columns = self._columns.state() if self._columns is not None else None
-        return {"episode_seed": self._episode_seed, "first_step": self._first_step, "columns": columns}
-
-    def load_state(self, state: Mapping[str, Any]) -> None:
-        """Go on in the middle of an episode, as the builder was that `state` is of."""
-        self._episode_seed, self._first_step = int(state["episode_seed"]), int(state["first_step"])
-        self._columns = None if state["columns"] is None else _Columns.of_state(state["columns"])
-
-    def drop(self) -> bool:
-        """Forget the transitions since the last chunk; return whether there were any."""
-        columns, self._columns = self._columns, None
-        return columns is not None
-
-
-@dataclass
-class _Columns:
-    """The arrays of a chunk under construction; what is not yet written is the padding, zeros."""
-
-    images: np.ndarray
-    motion: np.ndarray
-    policy_version: np.ndarray
-    levels: dict[str, LevelColumns]
-    length: int = 0
-    terminated: bool = False
-    truncated: bool = False
-
-    @classmethod
-    def for_first(cls, first: Transition, time: int) -> _Columns:
-        """Columns of `time` rows that fit a transition."""
-        return cls(
-            images=np.zeros((time + 1, *first.image.shape), np.uint8),
-            motion=np.zeros((time + 1, *first.motion.shape), np.float32),
-            policy_version=np.zeros(time, np.int64),
+            environment=row,
+            episode_seed=self._episode_seeds[row],
+            first_step=self._first_steps[row],
+            length=length,
+            images=_padded(self._images[row], length + 1),
+            motion=_padded(self._motion[row], length + 1),
             levels={
                 level: LevelColumns(
-                    actions=np.zeros((time, len(actions)), np.float32),
-                    rewards=np.zeros(time, np.float32),
-                    initial_state=np.array(first.states[level], np.float32),
+                    actions=_padded(actions[row], length),
+                    rewards=_padded(self._rewards[level][row], length),
+                    initial_state=self._initial_states[level][row].copy(),
                 )
-                for level, actions in first.actions.items()
+                for level, actions in self._actions.items()
             },
+            policy_version=_padded(self._policy_version[row], length),
+            terminated=terminated,
+            truncated=truncated,
         )
+        self._first_steps[row] += length
+        self._images[row, 0], self._motion[row, 0] = self._images[row, length], self._motion[row, length]
+        self._length[row] = 0
+        return chunk
 
-    @classmethod
-    def of_state(cls, state: Mapping[str, Any]) -> _Columns:
-        """Columns as they were when `state` was taken."""
-        levels = {name: LevelColumns(**columns) for name, columns in state["levels"].items()}
-        return cls(**{**state, "levels": levels})
 
-    def state(self) -> dict[str, Any]:
-        """Copies of all arrays and the values beside them, as nested dictionaries."""
-        return asdict(self)
-
-    def append(self, transition: Transition) -> None:
-        """Write the next row, and the observation after it, which the row after that will overwrite."""
-        row = self.length
-        self.images[row], self.images[row + 1] = transition.image, transition.next_image
-        self.motion[row], self.motion[row + 1] = transition.motion, transition.next_motion
-        self.policy_version[row] = transition.policy_version
-        self.terminated, self.truncated = transition.terminated, transition.truncated
-        for name, level in self.levels.items():
-            level.actions[row] = transition.actions[name]
-            level.rewards[row] = transition.rewards[name]
-        self.length += 1
+def _padded(column: np.ndarray, valid: int) -> np.ndarray:
+    """A copy of a column with zeros from row `valid` on."""
+    copy = column.copy()
+    copy[valid:] = 0
+    return copy

@@ -18,7 +18,7 @@ from athrl_driving.policy import (
 )
 from athrl_protocol import Chunk, PolicyUpdate
 
-from athrl_actor.chunks import ChunkBuilder, Transition
+from athrl_actor.chunks import ChunkCutter
 from athrl_actor.seeds import ActorSeeds
 from athrl_actor.statistics import DrivingStatistics
 
@@ -52,7 +52,8 @@ class Rollout:
         self.statistics = DrivingStatistics()
         self._batch = batch
         self._seeds = seeds
-        self._builders = [ChunkBuilder(actor, incarnation, row, sequence_length) for row in range(len(batch))]
+        self._actor, self._incarnation, self._sequence_length = actor, incarnation, sequence_length
+        self._cutter: ChunkCutter | None = None
         self._to_begin = list(range(len(batch)))  # environments whose next episode has not begun
         self._episodes = [0] * len(batch)  # begun so far
         self._episode_seeds = [0] * len(batch)
@@ -94,14 +95,13 @@ class Rollout:
         while self._to_begin:
             self._begin_episode(self._to_begin[0])
             del self._to_begin[0]
-        images, motion = self._batch.images.copy(), self._batch.motion.copy()
-        decided = self._decide(policy, update, images, motion)
+        decided = self._decide(policy, update, self._batch.images, self._batch.motion)
         last = policy.metadata.acting_level
         outcome = self._batch.step(last.normalised(decided.actions[last.name]))
         self._count(outcome)
         if on_first_row is not None:
             on_first_row(self._moment(decided, outcome))
-        chunks = self._cut(images, motion, decided, outcome, update.version)
+        chunks = self._cut(decided, outcome, update.version)
         self._states = decided.states
         for row in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
             self.statistics.episode_ended(self._returns[row], bool(outcome.infos["collision"][row]))
@@ -115,11 +115,11 @@ class Rollout:
         """
         given_up = list(rows)
         self._to_begin = sorted({*self._to_begin, *given_up})
-        return sum(self._builders[row].drop() for row in given_up)
+        return 0 if self._cutter is None else self._cutter.drop(given_up)
 
     def state(self) -> dict[str, Any]:
         """What `go_on` goes on from, beside the policy and the environments: arrays and plain values."""
-        if self._noise is None:
+        if self._noise is None or self._cutter is None:
             raise RuntimeError("nothing has been driven yet")
         return {
             "to_begin": list(self._to_begin),
@@ -129,7 +129,7 @@ class Rollout:
             "returns": self._returns.copy(),
             "recurrent": {level: state.copy() for level, state in self._states.items()},
             "noise": self._noise.state(),
-            "chunks": [builder.state() for builder in self._builders],
+            "chunks": self._cutter.state(),
         }
 
     def go_on(self, update: PolicyUpdate, state: Mapping[str, Any]) -> None:
@@ -143,6 +143,7 @@ class Rollout:
         """
         self.adopt(update)
         assert self._noise is not None
+        assert self._cutter is not None
         self._noise.load_state(state["noise"])
         self._to_begin = list(state["to_begin"])
         self._episodes, self._steps = list(state["episodes"]), list(state["steps"])
@@ -150,12 +151,11 @@ class Rollout:
         self._returns[:] = state["returns"]
         for level, recurrent in self._states.items():
             recurrent[:] = state["recurrent"][level]
-        for builder, chunk in zip(self._builders, state["chunks"], strict=True):
-            builder.load_state(chunk)
+        self._cutter.load_state(state["chunks"])
 
     def flush(self) -> list[Chunk]:
         """Return what is in the open chunks, padded."""
-        return [chunk for builder in self._builders if (chunk := builder.flush()) is not None]
+        return [] if self._cutter is None else self._cutter.flush()
 
     def _begin(self, policy: OnnxPolicy) -> None:
         """Make room for the states of all environments, now that the policy's shape is known."""
@@ -166,13 +166,23 @@ class Rollout:
             )
         self._states = policy.initial_states(len(self._batch))
         self._noise = ExplorationNoise(policy.metadata, len(self._batch), self._seeds.exploration())
+        self._cutter = ChunkCutter(
+            self._actor,
+            self._incarnation,
+            time=self._sequence_length,
+            image_shape=shape,
+            motion_size=self._batch.motion.shape[1],
+            levels={level.name: (level.action_size, level.state_size) for level in policy.metadata.levels},
+            environments=len(self._batch),
+        )
 
     def _begin_episode(self, row: int) -> None:
         assert self._noise is not None
+        assert self._cutter is not None
         seed = self._seeds.episode(row, self._episodes[row])
         self._episodes[row] += 1  # before the reset: a seed with which it fails is not tried again
         self._batch.reset(row, seed)
-        self._builders[row].begin(seed)
+        self._cutter.begin(row, seed, self._batch.images[row], self._batch.motion[row])
         self._noise.reset(row)
         for state in self._states.values():
             state[row] = 0
@@ -194,29 +204,19 @@ class Rollout:
             self._steps[row] += 1
             self.statistics.decided(speed)
 
-    def _cut(
-        self, images: np.ndarray, motion: np.ndarray, decided: PolicyStep, outcome: BatchStep, version: int
-    ) -> list[Chunk]:
-        """Give each environment's transition to its builder; both levels have the task's reward."""
-        chunks = []
-        for row, builder in enumerate(self._builders):
-            reward = float(outcome.rewards[row])
-            transition = Transition(
-                image=images[row],
-                motion=motion[row],
-                states={level: state[row] for level, state in self._states.items()},
-                actions={level: actions[row] for level, actions in decided.actions.items()},
-                rewards=dict.fromkeys(decided.actions, reward),
-                policy_version=version,
-                next_image=self._batch.images[row],
-                next_motion=self._batch.motion[row],
-                terminated=bool(outcome.terminated[row]),
-                truncated=bool(outcome.truncated[row]),
-            )
-            chunk = builder.add(transition)
-            if chunk is not None:
-                chunks.append(chunk)
-        return chunks
+    def _cut(self, decided: PolicyStep, outcome: BatchStep, version: int) -> list[Chunk]:
+        """Gather the decision, with the states before it; both levels have the task's reward."""
+        assert self._cutter is not None
+        return self._cutter.add(
+            states=self._states,
+            actions=decided.actions,
+            rewards=dict.fromkeys(decided.actions, outcome.rewards),
+            policy_version=version,
+            images=self._batch.images,
+            motion=self._batch.motion,
+            terminated=outcome.terminated,
+            truncated=outcome.truncated,
+        )
 
     def _moment(self, decided: PolicyStep, outcome: BatchStep) -> Moment:
         intention = decided.actions.get("intention")
