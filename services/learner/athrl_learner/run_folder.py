@@ -82,6 +82,10 @@ class RunFolder:
             self.checkpoints.mkdir(exist_ok=True)
             self.experience.mkdir(exist_ok=True)
             self.latest_policy.parent.mkdir(exist_ok=True)
-            write_atomically(self.run_toml, run_toml.encode())
+            if not self._holds(run_toml.encode()):  # a run that goes on as it was needs no room on its disk
+                write_atomically(self.run_toml, run_toml.encode())
         except OSError as error:
             raise LearnerError(f"cannot write the run folder {self.path}: {error.strerror}") from None
+
+    def _holds(self, run_toml: bytes) -> bool:
+        return self.run_toml.is_file() and self.run_toml.read_bytes() == run_toml

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
 import threading
@@ -53,6 +54,31 @@ def test_a_full_disk_pauses_the_run_until_there_is_room(small_disk, fake_actor, 
             stop.set()
         summary: Summary = running.result(timeout=60)
     assert summary.environment_steps == 5 * fake_actor.statistics.acknowledged
+
+
+def test_a_learner_comes_back_though_its_disk_is_full_and_goes_on_when_there_is_room(small_disk, fake_actor):
+    durability = small_disk.durability.model_copy(update={"reserve_mebibytes": 0.5})
+    small_disk = small_disk.model_copy(update={"durability": durability})
+    ballast = Path(small_disk.run.folder) / "ballast"
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as pool, fake_actor:
+        first = pool.submit(run_learner, small_disk, stop=stop)
+        fake_actor.wait_for(lambda: fake_actor.states and fake_actor.states[-1].environment_steps >= 60)
+        stop.set()
+        reached = first.result(timeout=60).environment_steps
+        with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+            while True:
+                file.write(bytes(4096))
+        stop = threading.Event()
+        second = pool.submit(run_learner, None, resume=Path(small_disk.run.folder) / "small", stop=stop)
+        try:
+            fake_actor.wait_for(lambda: second.done() or "intake is paused" in fake_actor.states[-1].waiting)
+            assert not second.done(), second.result()
+            subprocess.run(["mount", "-o", "remount,size=32m", small_disk.run.folder], check=True)
+            fake_actor.wait_for(lambda: fake_actor.states[-1].environment_steps > reached)
+        finally:
+            stop.set()
+        assert second.result(timeout=60).environment_steps > reached
 
 
 def test_what_nobody_waits_for_any_more_is_not_told():
