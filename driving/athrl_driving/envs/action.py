@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -63,8 +64,9 @@ def checked_actions(actions: NDArray[np.floating], shape: tuple[int, ...]) -> ND
     if checked.shape != shape:
         what = "action has" if len(shape) == 1 else "actions have"
         raise DrivingError(f"the {what} shape {checked.shape}, it should be {shape}")
-    finite = np.isfinite(checked)
-    if not finite.all():
+    # In double precision a sum of finite single ones is finite; NumPy's isfinite().all() takes 3 us.
+    if not math.isfinite(sum(checked.ravel().tolist())):
+        finite = np.isfinite(checked)
         rows = np.flatnonzero(~finite.reshape(-1, shape[-1]).all(axis=1)).tolist()
         where = f" of environments {rows}" if len(shape) > 1 else ""
         wrong = checked.reshape(-1, shape[-1])[rows[0]].tolist()

@@ -126,9 +126,8 @@ class TownEnv(AbstractEnv):
         result._show()
         return result
 
-    def _do(self, work: int, action: NDArray[np.floating] | None = None) -> None:
-        actions = None if action is None else np.asarray(action, np.float32)[None]
-        self.episodes.work(work, actions)
+    def _do(self, work: int, action: NDArray[np.float32] | None = None) -> None:
+        self.episodes.work(work, None if action is None else action[None])
         self.steps = int(self.episodes.state.progress.ticks[0])
         self.time = self.steps / self.config["simulation_frequency"]
 
