@@ -1,5 +1,7 @@
 """The ego counts: for who drives behind it, and what it has ahead while it changes lanes."""
 
+import math
+
 import numpy as np
 import pytest
 from athrl_driving.maps import Town, lane_pose, load_town
@@ -64,6 +66,8 @@ def test_who_follows_a_braking_ego_stops_behind_it_and_goes_on_with_it(
             assert follower.speed[0] < 0.01
     assert 0.5 < gaps[1] < 6.0
     assert follower.speed[0] == pytest.approx(5.0, abs=0.5)
+    # Where the model neither accelerates nor brakes: 10 m and 1.5 s, less 5 m of length, at 5 of 9 m/s.
+    assert gaps[2] == pytest.approx((10.0 + 1.5 * 5.0) / math.sqrt(1.0 - (5.0 / 9.0) ** 4) - 5.0, abs=0.2)
 
 
 def test_a_vehicle_waits_behind_an_ego_that_stands_between_two_lanes(town: Town) -> None:
