@@ -128,16 +128,18 @@ class Refusal(_message.Message):
     def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., reason: _Optional[_Union[Refusal.Reason, str]] = ..., expected_sequence: _Optional[int] = ..., text: _Optional[str] = ..., index: _Optional[int] = ...) -> None: ...
 
 class Edition(_message.Message):
-    __slots__ = ("schema_version", "schema_hash", "incarnation", "number")
+    __slots__ = ("schema_version", "schema_hash", "incarnation", "number", "reminder")
     SCHEMA_VERSION_FIELD_NUMBER: _ClassVar[int]
     SCHEMA_HASH_FIELD_NUMBER: _ClassVar[int]
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
+    REMINDER_FIELD_NUMBER: _ClassVar[int]
     schema_version: int
     schema_hash: int
     incarnation: int
     number: int
-    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., incarnation: _Optional[int] = ..., number: _Optional[int] = ...) -> None: ...
+    reminder: bool
+    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., incarnation: _Optional[int] = ..., number: _Optional[int] = ..., reminder: _Optional[bool] = ...) -> None: ...
 
 class RunFile(_message.Message):
     __slots__ = ("schema_version", "schema_hash", "run", "json")

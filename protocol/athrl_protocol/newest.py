@@ -6,12 +6,16 @@ grows with time, and the number of the value within it. A subscriber takes a val
 newer than what it has, so a delayed value never replaces a newer one, and a publisher that was started again
 from an old checkpoint is heard at once although its own counters went back. Should the new publisher's clock
 be behind the old one's, it is heard once the old one is seen to be gone.
+
+A put may be lost. Where it matters how soon that is made up for, the publisher tells its newest edition again
+and again, and a subscriber that has an older one asks. A reminder never overtakes the value that it is of.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -32,6 +36,8 @@ _log = logging.getLogger(__name__)
 
 QUERY_SECONDS = 5.0
 RETRY_SECONDS = 0.05
+# After a reminder a value is asked for; if it is on a slow way, it shall not come many times.
+REMINDED_SECONDS = 1.0
 
 
 class Edition(NamedTuple):
@@ -47,10 +53,13 @@ class NewestPublisher(Closing):
     Args:
         session: an open session, which stays the caller's.
         key: key expression without wildcards.
+        remind_seconds: how often to tell the newest edition again; None: never.
     """
 
-    def __init__(self, session: zenoh.Session, key: str) -> None:
+    def __init__(self, session: zenoh.Session, key: str, remind_seconds: float | None = None) -> None:
         self._key = key
+        self._closed = threading.Event()
+        self._background = Background(f"reminding of {key}", _log)
         self._incarnation = new_incarnation()
         self._number = 0
         self._newest: tuple[bytes, bytes] | None = None
@@ -59,17 +68,40 @@ class NewestPublisher(Closing):
             key, congestion_control=zenoh.CongestionControl.BLOCK, reliability=zenoh.Reliability.RELIABLE
         )
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
+        # Of its own, because a reminder is dropped where it would have to wait.
+        self._reminders = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
         # Last, because whoever sees the token asks the queryable.
         self._token = session.liveliness().declare_token(key)
+        self._reminder = threading.Thread(
+            target=self._remind, args=(remind_seconds,), name="reminder", daemon=True
+        )
+        if remind_seconds is not None:
+            self._reminder.start()
 
     def publish(self, payload: bytes) -> None:
-        """Make `payload` the newest value and send it to all subscribers."""
+        """Make `payload` the newest value and send it to all subscribers.
+
+        Raises:
+            BackgroundFailed: the thread that reminds of the values has failed.
+        """
+        self._background.check()
         with self._lock:
             self._number += 1
-            edition = athrl_pb2.Edition(incarnation=self._incarnation, number=self._number)
-            attachment = encode_message(edition)
+            attachment = self._edition(reminder=False)
             self._newest = (payload, attachment)
             self._publisher.put(payload, attachment=attachment)
+
+    def _edition(self, *, reminder: bool) -> bytes:
+        return encode_message(
+            athrl_pb2.Edition(incarnation=self._incarnation, number=self._number, reminder=reminder)
+        )
+
+    def _remind(self, seconds: float) -> None:
+        with self._background.watched():
+            while not self._closed.wait(seconds):
+                with self._lock, contextlib.suppress(zenoh.ZError):  # the session may be closed already
+                    if self._newest is not None:
+                        self._reminders.put(b"", attachment=self._edition(reminder=True))
 
     def _answer(self, query: zenoh.Query) -> None:
         with query:
@@ -82,8 +114,11 @@ class NewestPublisher(Closing):
 
     def close(self) -> None:
         """Stop answering and sending; the value is gone with its publisher."""
-        for declared in (self._token, self._queryable, self._publisher):
+        self._closed.set()
+        for declared in (self._token, self._queryable, self._publisher, self._reminders):
             undeclare_quietly(declared)
+        if self._reminder.is_alive():
+            self._reminder.join(timeout=QUERY_SECONDS)
 
 
 class NewestSubscriber(Closing):
@@ -107,6 +142,7 @@ class NewestSubscriber(Closing):
         self._background = Background(f"the subscription to {key}", _log, wake=self._wake)
         self._editions: dict[str, Edition] = {}
         self._without_publisher: set[str] = set()
+        self._asked_at = -math.inf  # because of a reminder
         self._latest: bytes | None = None
         self._closed = threading.Event()
         self._cancel = zenoh.CancellationToken()
@@ -185,11 +221,14 @@ class NewestSubscriber(Closing):
         if sample.kind == zenoh.SampleKind.DELETE:  # the publisher has no value yet
             return
         try:
-            edition = _edition_of(sample)
+            edition, is_reminder = _edition_of(sample)
         except InvalidMessage as error:
             self._refusals.add(OTHERS, error)
             return
         key = str(sample.key_expr)
+        if is_reminder:
+            self._make_up_for(key, edition)
+            return
         payload = sample.payload.to_bytes()
         with self._changed:
             if self._closed.is_set() or not self._is_newer(key, edition):
@@ -206,6 +245,15 @@ class NewestSubscriber(Closing):
             return
         with self._background.watched():  # must not end the thread that keeps the newest value
             self._on_value(payload)
+
+    def _make_up_for(self, key: str, edition: Edition) -> None:
+        """Ask for a value that did not come though there is word of it, unless it was asked for just now."""
+        now = time.monotonic()
+        with self._changed:
+            if not self._is_newer(key, edition) or now - self._asked_at < REMINDED_SECONDS:
+                return
+            self._asked_at = now
+        self.ask()
 
     def _is_newer(self, key: str, edition: Edition) -> bool:
         known = self._editions.get(key)
@@ -249,8 +297,9 @@ class NewestSubscriber(Closing):
                 return
 
 
-def _edition_of(sample: zenoh.Sample) -> Edition:
+def _edition_of(sample: zenoh.Sample) -> tuple[Edition, bool]:
+    """Return the edition of what came, and whether it is a reminder and not the value."""
     if sample.attachment is None:
         raise InvalidMessage("malformed", "a value without an edition")
     message = decode_message(athrl_pb2.Edition, sample.attachment.to_bytes())
-    return Edition(message.incarnation, message.number)
+    return Edition(message.incarnation, message.number), message.reminder

@@ -16,6 +16,9 @@ from athrl_protocol.keys import Keys
 from athrl_protocol.limits import LARGEST_POLICY
 from athrl_protocol.schema import decode_message, encode_message
 
+REMIND_SECONDS = 0.5
+"""An actor to which a policy did not come learns of it after so long, and asks: it has it within a second."""
+
 
 @dataclass(frozen=True)
 class PolicyUpdate:
@@ -78,7 +81,7 @@ class PolicyPublisher(TypedPublisher[PolicyUpdate]):
     """Publishes policies, used by the learner."""
 
     def __init__(self, session: zenoh.Session, run: str) -> None:
-        super().__init__(session, Keys(run).policy, _encode)
+        super().__init__(session, Keys(run).policy, _encode, REMIND_SECONDS)
 
 
 class PolicySubscriber(TypedSubscriber[PolicyUpdate]):

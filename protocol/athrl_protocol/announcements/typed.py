@@ -21,9 +21,15 @@ _Value = TypeVar("_Value")
 class TypedPublisher(Generic[_Value], Closing):
     """Publishes values of one type under one key."""
 
-    def __init__(self, session: zenoh.Session, key: str, encode: Callable[[_Value], bytes]) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        encode: Callable[[_Value], bytes],
+        remind_seconds: float | None = None,
+    ) -> None:
         self._encode = encode
-        self._publisher = NewestPublisher(session, key)
+        self._publisher = NewestPublisher(session, key, remind_seconds)
 
     def publish(self, value: _Value) -> None:
         """Make `value` the newest and send it to all."""

@@ -146,7 +146,7 @@ class ChunkCutter:
             "motion": self._motion,
             "policy_version": self._policy_version,
         }
-        of_levels = {
+        of_levels: dict[str, dict[str, np.ndarray]] = {
             "actions": self._actions,
             "rewards": self._rewards,
             "initial_states": self._initial_states,

@@ -33,8 +33,8 @@ def announce(learner: Any, version: int) -> None:
     learner.states.publish(RunState(Phase.TRAINING, 1, 1000, 1, version))
 
 
-def lose_what_is_put(learner: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have policies answered to whoever asks, but lost on their way to who does not."""
+def lose_what_is_put(learner: Any, monkeypatch: pytest.MonkeyPatch, *, reminders: bool) -> None:
+    """Have policies answered to whoever asks, but lost on their way to who does not; their reminders, too?"""
     newest = learner.policies._publisher
 
     class Lossy:
@@ -44,8 +44,9 @@ def lose_what_is_put(learner: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         def undeclare(self) -> None:
             pass
 
-    newest._publisher.undeclare()
-    monkeypatch.setattr(newest, "_publisher", Lossy())
+    for name in ["_publisher", *(["_reminders"] if reminders else [])]:
+        getattr(newest, name).undeclare()
+        monkeypatch.setattr(newest, name, Lossy())
 
 
 def last(learner: Any) -> dict[str, float]:
@@ -56,12 +57,26 @@ def test_policy_that_was_lost_on_its_way_is_asked_for(learner, driving, monkeypa
     learner.publish(1)
     driving()
     learner.wait_for_chunks(2)
-    lose_what_is_put(learner, monkeypatch)
+    lose_what_is_put(learner, monkeypatch, reminders=True)
     learner.publish(2)
     learner.wait_for_chunks(len(learner.chunks) + 4)
     assert learner.chunks[-1].policy_version[0] == 1
     announce(learner, 2)
     assert learner.wait_for(lambda: learner.chunks[-1].policy_version[0] == 2)
+
+
+def test_policy_whose_put_was_lost_comes_soon_although_nobody_else_tells_of_it(
+    learner, driving, monkeypatch
+) -> None:
+    learner.publish(1)
+    driving()
+    learner.wait_for_chunks(2)
+    lose_what_is_put(learner, monkeypatch, reminders=False)
+    for version in (2, 3):
+        learner.publish(version)
+        assert learner.wait_for(lambda wanted=version: learner.chunks[-1].policy_version[-1] == wanted, 30)
+    versions = [int(version) for chunk in learner.chunks for version in chunk.policy_version[: chunk.length]]
+    assert set(versions) == {1, 2, 3}
 
 
 def test_actor_too_far_behind_waits_and_goes_on_with_a_newer_policy(learner, driving, caplog) -> None:
@@ -95,7 +110,7 @@ def test_waiting_actor_gets_the_policy_although_the_learner_publishes_no_other(
     learner.publish(1)
     driving()
     learner.wait_for_chunks(2)
-    lose_what_is_put(learner, monkeypatch)
+    lose_what_is_put(learner, monkeypatch, reminders=True)
     learner.publish(99)
     announce(learner, 99)
     assert learner.wait_for(lambda: learner.chunks[-1].policy_version[0] == 99)
