@@ -19,6 +19,7 @@ from athrl_protocol.session import open_session
 
 NAME_SECONDS = 8.0  # longer than a service that hung or lost its network keeps its name (the session's lease)
 NOTICE_SECONDS = 3.0  # without a learner until somebody at a terminal is told what is waited for
+BEHIND_SECONDS = 0.02  # by which one watcher's thread may be behind another's
 PRESENCE_SECONDS = 2.0  # within which those present, at least the learner, have shown
 
 log = logging.getLogger(__name__)
@@ -68,9 +69,13 @@ def _take_name(
     session: zenoh.Session, run: str, role: str, name: str, stop: threading.Event, stack: ExitStack
 ) -> bool:
     """Announce the service under its name once nobody else has it; False if `stop` was set meanwhile."""
-    with PresenceWatcher(session, run) as watcher:
-        _wait_until(lambda: any(kind == "learner" for kind, _ in watcher.present()), PRESENCE_SECONDS, stop)
-        free = _wait_until(lambda: (role, name) not in watcher.present(), NAME_SECONDS, stop)
+    with (
+        PresenceWatcher(session, run, role=role, name=name) as namesake,
+        PresenceWatcher(session, run, role="learner") as learners,  # after it, so that it is told after it
+    ):
+        _wait_until(lambda: bool(learners.present()), PRESENCE_SECONDS, stop)
+        stop.wait(BEHIND_SECONDS)
+        free = _wait_until(lambda: not namesake.present(), NAME_SECONDS, stop)
     if stop.is_set():
         return False
     if not free:

@@ -39,6 +39,9 @@ class PresenceWatcher(Closing):
         session: an open session, which stays the caller's.
         run: name of the run.
         on_change: called with the new set after each change, from another thread.
+        role: watch services of this role only.
+        name: watch this one only, of that role. Each watcher is told of everybody it watches when it comes,
+            so a thousand services that watch each other take a million messages.
 
     What goes wrong in the other thread is logged, and raised as BackgroundFailed by `present` and `wait_for`.
     """
@@ -48,6 +51,8 @@ class PresenceWatcher(Closing):
         session: zenoh.Session,
         run: str,
         on_change: Callable[[frozenset[tuple[str, str]]], None] | None = None,
+        role: str | None = None,
+        name: str | None = None,
     ) -> None:
         self._on_change = on_change
         self._changed = threading.Condition()
@@ -55,7 +60,7 @@ class PresenceWatcher(Closing):
         self._present: frozenset[tuple[str, str]] = frozenset()
         # With history, because a query for tokens can come back empty behind a router.
         self._subscriber = session.liveliness().declare_subscriber(
-            Keys(run).every_alive, self._take, history=True
+            _watched(Keys(run), role, name), self._take, history=True
         )
 
     def present(self) -> set[tuple[str, str]]:
@@ -99,3 +104,9 @@ class PresenceWatcher(Closing):
             self._changed.notify_all()
         if self._on_change is not None:
             self._on_change(present)
+
+
+def _watched(keys: Keys, role: str | None, name: str | None) -> str:
+    if role is None:
+        return keys.every_alive
+    return keys.alive_of(role) if name is None else keys.alive(role, name)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -16,6 +18,7 @@ from athrl_protocol import (
     MetricsPublisher,
     MetricsReport,
     MetricsSubscriber,
+    NameTaken,
     Point,
     PresenceWatcher,
     ProtocolError,
@@ -23,8 +26,10 @@ from athrl_protocol import (
     announce_presence,
     decode_frame,
     encode_frame,
+    joining,
     subscribe_frames,
 )
+from athrl_protocol.keys import role_and_name_of
 
 PATIENCE = 30.0
 RUN = "presence"
@@ -159,3 +164,31 @@ def test_frame_with_images_of_another_size_is_refused() -> None:
     frame.birdeye = bytes(11)
     with pytest.raises(InvalidMessage, match="birdeye has 11 bytes, should have 12"):
         decode_frame(encode_frame(frame))
+
+
+def test_who_joins_is_told_of_the_learner_and_of_namesakes_only(
+    listen: Open, connect: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Told of everybody, a thousand that join would take a million messages."""
+    told: list[tuple[str, str]] = []
+    note = PresenceWatcher._note
+
+    def noting(watcher: PresenceWatcher, sample: zenoh.Sample) -> None:
+        told.append(role_and_name_of(str(sample.key_expr)))
+        note(watcher, sample)
+
+    learner, others = listen(), connect()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(announce_presence(learner, RUN, "learner", "learner"))
+        everybody = stack.enter_context(PresenceWatcher(learner, RUN))
+        for number in range(20):
+            stack.enter_context(announce_presence(others, RUN, "actor", f"actor-{number}"))
+        assert everybody.wait_for(lambda present: len(present) == 21, PATIENCE)
+        monkeypatch.setattr(PresenceWatcher, "_note", noting)
+        everybody.close()
+        assert joining._take_name(connect(), RUN, "actor", "new", threading.Event(), stack)
+        assert set(told) == {("learner", "learner")}
+        monkeypatch.setattr(joining, "NAME_SECONDS", 0.1)
+        with pytest.raises(NameTaken):
+            joining._take_name(connect(), RUN, "actor", "actor-7", threading.Event(), stack)
+        assert set(told) == {("learner", "learner"), ("actor", "actor-7")}
