@@ -82,4 +82,4 @@ def test_table_of_metrics_is_whole() -> None:
     told = {f"comfort{name}" if name.startswith("_") else name for name in names}
     state = new_metrics(1)
     state.goal[:] = 1.0
-    assert told == set(summary(state, 0, truncated=False))
+    assert told == set(summary(state, 0, lasted=True))
