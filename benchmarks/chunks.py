@@ -15,6 +15,9 @@ import athrl_driving  # noqa: F401  (importing it registers the towns)
 import gymnasium
 import numpy as np
 from athrl_protocol import Chunk, LevelColumns, decode_chunk, encode_chunk
+from athrl_protocol.image_codec import Compression
+
+COMPRESSIONS: tuple[Compression, ...] = ("lz4", "zstd", "none")
 
 
 def real_chunk(steps: int) -> Chunk:
@@ -48,9 +51,9 @@ def real_chunk(steps: int) -> Chunk:
     )
 
 
-def there_and_back(chunk: Chunk) -> int:
+def there_and_back(chunk: Chunk, compression: Compression) -> int:
     """Encode and decode as a run does; returns the bytes."""
-    encoded = encode_chunk(chunk)
+    encoded = encode_chunk(chunk, compression)
     decode_chunk(encoded)
     return len(encoded)
 
@@ -87,14 +90,19 @@ def main() -> None:
     arguments = parser.parse_args()
 
     chunk = real_chunk(arguments.steps)
-    size, npz_size = there_and_back(chunk), there_and_back_npz(chunk)
-    ours, npz = (
-        rate(function, chunk, arguments.seconds / 2) for function in (there_and_back, there_and_back_npz)
-    )
-    print(
-        f"{arguments.steps} steps: {size} bytes, {ours:.0f} transitions/s; npz {npz_size} bytes, {npz:.0f}/s"
-    )
-    print(json.dumps({"steps": arguments.steps, "bytes": size, "transitions": ours, "ratio": ours / npz}))
+    seconds = arguments.seconds / (len(COMPRESSIONS) + 1)
+    npz = rate(there_and_back_npz, chunk, seconds)
+    print(f"{arguments.steps} steps as npz: {there_and_back_npz(chunk)} bytes, {npz:.0f} transitions/s")
+    rows = []
+    for compression in COMPRESSIONS:
+
+        def ours(chunk: Chunk, compression: Compression = compression) -> int:
+            return there_and_back(chunk, compression)
+
+        row = {"bytes": ours(chunk), "transitions": round(rate(ours, chunk, seconds))}
+        rows.append({"compression": compression, **row, "ratio": round(row["transitions"] / npz, 1)})
+        print(f"{compression:5s} {row['bytes']:7d} bytes, {row['transitions']:9d} transitions/s")
+    print(json.dumps({"steps": arguments.steps, "npz": round(npz), "rows": rows}))
 
 
 if __name__ == "__main__":
