@@ -121,14 +121,13 @@ def test_same_seed_gives_the_same_scene_at_the_same_place(name: str) -> None:
     assert not np.array_equal(before, second.road.background.x)
 
 
-def test_vehicles_that_do_not_fit_are_told_how_many_would_there() -> None:
+@pytest.mark.parametrize("vehicles", [500, 5000])
+def test_vehicles_that_do_not_fit_are_told_how_many_would_there(vehicles: int) -> None:
     env = TownEnv(config=SCENARIOS["athrl/UnprotectedLeft-v0"])
     with pytest.raises(ValueError, match="within 140 m") as error:
-        env.reset(options={"config": {"vehicles_count": 500}})
-    message = (
-        r"vehicles_count is 500, but within 140 m of \(165, 0\) \(traffic_near\) there is room for (\d+)"
-    )
-    found = re.match(message, str(error.value))
+        env.reset(options={"config": {"vehicles_count": vehicles}})
+    place = r"within 140 m of \(165, 0\) \(traffic_near\) there is room for"
+    found = re.match(rf"vehicles_count is {vehicles}, but {place} (\d+)", str(error.value))
     assert found, error.value
     env.reset(options={"config": {"vehicles_count": int(found[1]) - 10}})
 

@@ -14,7 +14,8 @@ from athrl_driving.episode.starts import RANDOM, Journeys, place_on_map
 from athrl_driving.errors import DrivingError
 from athrl_driving.maps import TOWNS, Town, load_town
 from athrl_driving.perception import EGO_ABOVE_LOWER_EDGE, LIDAR_RANGE, RAYS, WINDOW_SIDE, new_perception
-from athrl_driving.scenarios import SCENARIOS
+from athrl_driving.scenarios import SCENARIOS, places_near
+from athrl_driving.traffic.state import new_traffic
 
 DEFAULTS: dict[str, Any] = {
     "observation": {"type": "BirdEyeObservation"},
@@ -96,6 +97,8 @@ def changed_settings(
 
     Raises ValueError, in one line, for a key that does not exist or a value that cannot be.
     """
+    if changes is not None and not isinstance(changes, Mapping):
+        raise DrivingError(f"config is {changes!r}, it should be a dict of settings")
     given = dict(changes or {})
     if map_name == "":
         raise DrivingError("no map was named: give map='PATH.xodr', an OpenDRIVE file, or the name of a town")
@@ -216,8 +219,10 @@ def drive_settings(config: Mapping[str, Any]) -> DriveSettings:
 def new_episodes(config: Mapping[str, Any], town: Town, environments: int, threads: int = 1) -> Episodes:
     """Room for the episodes of `environments` environments with these settings.
 
-    Raises ValueError in one line for a place that the map does not have.
+    Raises ValueError in one line for a place that the map does not have, or that has no room for
+    the vehicles.
     """
+    _check_room_near(config, town)
     drive, destination = drive_settings(config), config["destination"]
     return Episodes(
         town,
@@ -235,3 +240,17 @@ def new_episodes(config: Mapping[str, Any], town: Town, environments: int, threa
         traffic_near=config["traffic_near"],
         threads=threads,
     )
+
+
+def _check_room_near(config: Mapping[str, Any], town: Town) -> None:
+    """Refuse more vehicles than there are places near the point where they are to start."""
+    near, vehicles = config["traffic_near"], config["vehicles_count"]
+    if near is None:
+        return
+    places = places_near(new_traffic(town, 1, 0), *near).rails.start_link.size
+    if vehicles > places:
+        x, y, radius = near
+        raise DrivingError(
+            f"vehicles_count is {vehicles}, but within {radius:g} m of ({x:g}, {y:g}) (traffic_near) "
+            f"there is room for {places} at most"
+        )

@@ -245,6 +245,8 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
             return [None] * self.num_envs
         if isinstance(seed, (int, np.integer)):
             return [int(seed) + e for e in range(self.num_envs)]
+        if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
+            raise DrivingError(f"seed is {seed!r}, it should be a whole number or a list of {self.num_envs}")
         if len(seed) != self.num_envs:
             raise DrivingError(
                 f"{len(seed)} seeds were given, there should be one for each of {self.num_envs}"
