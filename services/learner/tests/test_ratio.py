@@ -51,7 +51,8 @@ def test_ratio_stays_within_its_tolerance(long_run, make_chunk, make_actor, acto
     assert summary.finished
     limiter = translation.make_limiter(long_run)
     slack = BETWEEN * (limiter.largest_sample + limiter.ratio * limiter.largest_insert)
-    reports = [report.values for report in crew[0].metrics if report.role == "learner"]
+    heard = max((actor.metrics for actor in crew), key=len)
+    reports = [report.values for report in heard if report.role == "learner"]
     begun = limiter.minimum_inserts
     during = [values for values in reports if begun < values["environment_steps"] < STEPS]
     assert during
@@ -70,4 +71,4 @@ def test_ratio_stays_within_its_tolerance(long_run, make_chunk, make_actor, acto
     waiting = "waiting/actors" if leads == "actors" else "waiting/learner"
     assert max(values[waiting] for values in during) > 0.2
     delivered = sum(actor.statistics.acknowledged for actor in crew)
-    assert delivered == reports[-1]["intake/stored"]
+    assert delivered * long_run.replay.sequence_length == summary.environment_steps
