@@ -146,7 +146,7 @@ def test_chunks_are_logged_on_the_disk_of_the_run(tmp_path: Path, monkeypatch: p
     folders = []
 
     def storm(folder: Path, chunks: int, fsync: str) -> round_trip.Outcome:
-        outcome = small_storm(folder, 60, fsync)
+        outcome = small_storm(folder, 300, fsync)
         folders.append((folder.parent, len(numbered_segments(folder)), fsync))
         return outcome._replace(acknowledged=chunks)
 
