@@ -35,12 +35,13 @@ class WitnessedWindow(UploadWindow):
         self._known: dict[int, tuple[Identity, Content]] = {}
         self._last: Identity | None = None
 
-    def add(self, encoded: bytes) -> None:
-        identity, content = read_chunk(encoded)
-        self._known[identity.sequence] = (identity, content)
-        self._last = identity
-        self._tell("produced", identity.sequence)
-        super().add(encoded)
+    def put(self, sequence: int, encoded: bytes) -> None:
+        if sequence in self._held:
+            identity, content = read_chunk(encoded)
+            self._known[sequence] = (identity, content)
+            self._last = identity
+            self._tell("produced", sequence)
+        super().put(sequence, encoded)
 
     def acknowledge(self, next_sequence: int) -> None:
         before = list(self._held)
@@ -62,7 +63,8 @@ class WitnessedWindow(UploadWindow):
 
     def _settle(self, event: str, before: list[int]) -> None:
         for sequence in before:
-            if sequence not in self._held:
+            # One that was given up before it was encoded has no content to tell of.
+            if sequence not in self._held and sequence in self._known:
                 self._tell(event, sequence)
                 del self._known[sequence]
 
