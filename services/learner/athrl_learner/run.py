@@ -26,7 +26,7 @@ from athrl_protocol.certificates import find_certificates
 from athrl_protocol.limits import largest_chunk_of
 
 from athrl_learner.connections import NAME, connect
-from athrl_learner.device import log_device
+from athrl_learner.device import log_device, training_device
 from athrl_learner.errors import CannotResume
 from athrl_learner.going_on import checkpoint_to_go_on_from
 from athrl_learner.learner import Learner
@@ -84,7 +84,7 @@ def run_learner(
     run_file, path = _what_and_where(run_file, resume)
     if run_file.serial.enabled:
         raise CannotResume(f"{path} is a serial run, which has no learner of its own: athrl train --serial")
-    log_device(run_file)
+    training_device(run_file)  # refused here: nothing has been written
     torch.set_num_threads(run_file.learner.threads)
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path))
@@ -99,6 +99,7 @@ def run_learner(
                 largest_chunk=largest_chunk_of(run_file),
             )
         )
+        log_device(run_file)
         publisher = stack.enter_context(PolicyPublisher(session, run_file.run.name))
         parts = make_parts(stack, run_file, folder, content, publisher.publish)
         parts.publication.go_on(max(recorded_version(folder.latest_policy_facts), saved_version(content)))
