@@ -12,8 +12,15 @@ services=("$@")
 
 deploy/base-image.sh
 
+# All images are of one moment: a change between two builds could give services that refuse each other's schema.
+tree=$(mktemp --directory)
+trap 'rm -rf "$tree"' EXIT
+tar --create --exclude-vcs --exclude=__pycache__ --exclude=.venv --exclude='.*_cache' \
+    .dockerignore constraints.txt deploy protocol driving planners services athrl |
+    tar --extract --directory "$tree"
+cd "$tree"
+
 certificates=deploy/certificates/builder.pem
-trap 'rm -f "$certificates"' EXIT
 for bundle in "${PIP_CERT:-}" "${SSL_CERT_FILE:-}"; do
     if [ -f "$bundle" ]; then
         install --mode=644 "$bundle" "$certificates"
