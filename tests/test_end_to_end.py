@@ -45,6 +45,7 @@ def test_run_trains_evaluates_and_ends_by_itself(command, tiny: list[str], tmp_p
     facts = json.loads(scores.stdout)
     wanted = (
         "episodes return_mean return_ci95 speed_mps distance_m collision_rate off_lane_rate full_episode_rate"
+        " success_rate"
     )
     assert set(wanted.split()) <= set(facts)
 

@@ -1,5 +1,6 @@
 """Wrong inputs end in one line that says what to do, an exit code that is not 0, and soon."""
 
+import json
 import socket
 import subprocess
 from pathlib import Path
@@ -67,6 +68,38 @@ def test_unknown_town_is_named_by_the_option_that_gave_it(command) -> None:
 def test_more_vehicles_than_the_town_has_room_for_are_refused(command, words: list[str]) -> None:
     settings = ["--set", "environment.town=town02", "--set", "environment.vehicles=1000"]
     assert_one_line(command.run(*words, *settings, seconds=SECONDS), "1000", "room for")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--set learner.batch=4", "--set learner.batch: evaluate only drives"),
+        ("--set run.seed=4", "--set run.seed: evaluate only drives"),
+        ("--set evaluator.recordings_kept=4", "--set evaluator.recordings_kept: evaluate only drives"),
+        ("--set evaluator.seed=4 --seed 5", "--set evaluator.seed and --seed say the same"),
+        ("--set environment.town=town02 --town town04", "--set environment.town and --town say the same"),
+        ("--case-study rondabout", "it should be roundabout, oncoming-traffic, unprotected-left or all"),
+        ("--case-study all --town town02", "--town has no place beside --case-study"),
+        ("--case-study all --set environment.town=town02", "--set environment.town has no place beside"),
+    ],
+)
+def test_evaluate_refuses_what_it_would_ignore(command, words: str, told: str) -> None:
+    given = ["evaluate", "--policy", "blind", "--episodes", "2", *words.split()]
+    assert_one_line(command.run(*given, seconds=SECONDS), told)
+
+
+def test_evaluate_takes_its_episodes_and_seed_from_the_settings_too(command) -> None:
+    few = ["--set", "environment.episode_ticks=8", "--set", "environment.vehicles=0", "--json"]
+    by_option = ["--episodes", "3", "--seed", "6"]
+    by_setting = ["--set", "evaluator.final_episodes=3", "--set", "evaluator.seed=6"]
+    first, second = (
+        command.run("evaluate", "--policy", "random", *few, *words, seconds=SECONDS)
+        for words in (by_option, by_setting)
+    )
+    assert first.returncode == 0, first.stderr
+    assert first.stdout == second.stdout
+    facts = json.loads(first.stdout)
+    assert (facts["episodes"], facts["seed"]) == (3, 6)
 
 
 def test_missing_run_file_is_named(command) -> None:

@@ -1,51 +1,100 @@
-"""`athrl evaluate`: scores of a policy file or of a reference driver."""
+"""`athrl evaluate`: scores of a policy file or a reference driver, in a town or the paper's case studies."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
-from athrl_protocol.run_file import RunFile
+from athrl_protocol.run_file import EnvironmentSection, RunFile
 from rich.console import Console
 from rich.table import Table
 
 from athrl import runs
 from athrl.errors import CommandError, needs
-from athrl.options import DEFAULTS, JsonOption, RunFileOption, SetOption, overrides
+from athrl.options import JsonOption, RunFileOption, SetOption, overrides
 
 REFERENCE_DRIVERS = ("random", "blind", "rule-based")
+CASE_STUDIES = ("roundabout", "oncoming-traffic", "unprotected-left")
+ALL = "all"
+
+_OPTION_OF_SETTING = {
+    "environment.town": "--town",
+    "evaluator.final_episodes": "--episodes",
+    "evaluator.seed": "--seed",
+}
+"""Settings that have an option of their own."""
+
+_USED = "environment.*, evaluator.final_episodes, evaluator.seed and actor.stall_seconds"
 
 
 def evaluate(
     policy: Annotated[str, typer.Option(metavar="FILE|random|blind|rule-based", help="Who drives.")],
     town: Annotated[str | None, typer.Option(help="The town to drive in; by default the run file's.")] = None,
+    case_study: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join((*CASE_STUDIES, ALL)),
+            help="Drive one of the paper's case studies, or all three.",
+        ),
+    ] = None,
     episodes: Annotated[
-        int, typer.Option(min=2, help="Episodes to drive.")
-    ] = DEFAULTS.evaluator.final_episodes,
+        int | None, typer.Option(min=2, help="Episodes to drive; by default evaluator.final_episodes.")
+    ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help="The first episode's seed; the others have the ones after it.")
-    ] = DEFAULTS.evaluator.seed,
+        int | None,
+        typer.Option(
+            min=0, help="The first episode's seed, the others have those after; by default evaluator.seed."
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Record each episode as an MCAP file in this folder."),
+    ] = None,
     as_json: JsonOption = False,
     run_file: RunFileOption = None,
     settings: SetOption = None,
 ) -> None:
     """Drive episodes without exploration and print the scores with a 95 % interval of the return."""
-    given = overrides(settings)
+    named = {setting.partition("=")[0].strip() for setting in settings or []}
+    given = {"environment.town": town, "evaluator.final_episodes": episodes, "evaluator.seed": seed}
+    _check_case_study(case_study, town, named)
+    by_option = [f"{name}={value}" for name, value in given.items() if value is not None]
     if town is not None:
         _check_town(town)
-        given.append(f"environment.town={town}")
-    run_settings = runs.new_settings(run_file, given)
-    scores = _evaluate(policy, run_settings, episodes, seed)
-    facts = {"policy": policy, "town": run_settings.environment.town, "seed": seed, **scores}
-    if as_json:
-        print(json.dumps(facts))
+    run_settings = runs.new_settings(run_file, overrides(settings) + by_option)
+    _check_used(named, {name for name, value in given.items() if value is not None})
+    _check_folder(record)
+    driver = _driver(policy)
+    studies = CASE_STUDIES if case_study == ALL else (case_study,)
+    results = [
+        _evaluate(driver, run_settings, study, named, record, many=len(studies) > 1) for study in studies
+    ]
+    _print(policy, run_settings, results, as_json)
+
+
+def _check_case_study(case_study: str | None, town: str | None, named: set[str]) -> None:
+    """Refuse a case study that there is not, and a town beside one."""
+    if case_study is None:
         return
-    table = Table(title=f"{policy} in {run_settings.environment.town}", show_header=False)
-    for name, value in facts.items():
-        table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
-    Console().print(table)
+    if case_study not in (*CASE_STUDIES, ALL):
+        choice = f"{', '.join(CASE_STUDIES)} or {ALL}"
+        raise CommandError(f"--case-study {case_study}: there is no such case study, it should be {choice}")
+    if town is not None or "environment.town" in named:
+        option = "--town" if town is not None else "--set environment.town"
+        raise CommandError(f"{option} has no place beside --case-study, whose town is its own: leave one out")
+
+
+def _check_used(named: set[str], by_option: set[str]) -> None:
+    """Refuse settings of the command line without a say here; run file and ATHRL_SET describe a whole run."""
+    for name in sorted(named):
+        if name in by_option:
+            raise CommandError(f"--set {name} and {_OPTION_OF_SETTING[name]} say the same: leave one out")
+        section = name.partition(".")[0]
+        if section != "environment" and name not in _OPTION_OF_SETTING and name != "actor.stall_seconds":
+            raise CommandError(f"--set {name}: evaluate only drives and would ignore it; it goes by {_USED}")
 
 
 def _check_town(town: str) -> None:
@@ -58,16 +107,70 @@ def _check_town(town: str) -> None:
         raise CommandError(f"--town {town}: {error}") from None
 
 
-def _evaluate(policy: str, settings: RunFile, episodes: int, seed: int) -> dict[str, float]:
-    """Score a driver by its name or a policy by its file's name."""
+def _check_folder(folder: Path | None) -> None:
+    """Make the folder for recordings before anything is driven."""
+    try:
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"--record {folder}: {error.strerror}, it should be a folder") from None
+
+
+def _driver(policy: str) -> str | Path:
+    """Return a reference driver's name, or a policy's file; raises CommandError for what is neither."""
+    if policy in REFERENCE_DRIVERS:
+        return policy
+    path = Path(policy)
+    if not path.is_file():
+        choice = ", ".join(REFERENCE_DRIVERS)
+        wrong = "is a folder" if path.is_dir() else "there is no such file"
+        raise CommandError(f"--policy {policy}: {wrong}, and it is none of {choice}")
+    return path
+
+
+def _evaluate(
+    driver: str | Path,
+    settings: RunFile,
+    case_study: str | None,
+    named: set[str],
+    record: Path | None,
+    *,
+    many: bool,
+) -> dict[str, Any]:
+    """Score a driver; of many case studies each is recorded in a folder of its own."""
     with needs("evaluator"):
         from athrl_evaluator import evaluate_driver
-    driver: str | Path = policy
-    if policy not in REFERENCE_DRIVERS:
-        driver = Path(policy)
-        if not driver.is_file():
-            choice = ", ".join(REFERENCE_DRIVERS)
-            wrong = "is a folder" if driver.is_dir() else "there is no such file"
-            raise CommandError(f"--policy {policy}: {wrong}, and it is none of {choice}")
-    scores = evaluate_driver(driver, environment=settings.environment, episodes=episodes, seed=seed)
-    return scores.as_dict()
+    section = settings.environment
+    where = {"town": section.town}
+    if case_study is not None:
+        section, where = _beside_case_study(section, named), {"case_study": case_study}
+    scores = evaluate_driver(
+        driver,
+        environment=section,
+        case_study=case_study,
+        episodes=settings.evaluator.final_episodes,
+        seed=settings.evaluator.seed,
+        stall_seconds=settings.actor.stall_seconds,
+        record=record / case_study if record is not None and case_study is not None and many else record,
+    )
+    return {**where, "seed": settings.evaluator.seed, **scores.as_dict()}
+
+
+def _beside_case_study(section: EnvironmentSection, named: set[str]) -> EnvironmentSection:
+    """What the settings say beside a case study: of what it fixes itself only the command line's."""
+    own = {"town", "vehicles", "episode_ticks"} - {name.removeprefix("environment.") for name in named}
+    return EnvironmentSection(**section.model_dump(include=section.model_fields_set - own))
+
+
+def _print(policy: str, settings: RunFile, results: Sequence[dict[str, Any]], as_json: bool) -> None:
+    """Print one JSON object, with many results in its `case_studies`, or a table with a column for each."""
+    if as_json:
+        facts = results[0] if len(results) == 1 else {"case_studies": results}
+        print(json.dumps({"policy": policy, **facts}))
+        return
+    where = f" in {settings.environment.town}" if "town" in results[0] else ""
+    table = Table(title=f"{policy}{where}", show_header=False)
+    for name in results[0]:
+        values = [result[name] for result in results]
+        table.add_row(name, *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in values))
+    Console().print(table)

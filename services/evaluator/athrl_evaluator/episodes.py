@@ -75,6 +75,7 @@ class _Running:
             collision=bool(self.last_info["collision"]),
             off_lane=bool(self.last_info["off_lane"]),
             full=full,
+            success=bool(metrics["success"]),
             driving_score=metrics["driving_score"],
             comfort=metrics["comfort_all"],
             time_to_collision_kept=metrics["time_to_collision_kept"],

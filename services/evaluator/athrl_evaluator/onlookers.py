@@ -24,10 +24,10 @@ class Recorder(Onlooker):
         folder: Path,
         *,
         episodes: int,
-        kept: int,
+        kept: int | None,
         broadcast: Broadcast | None = None,
     ) -> None:
-        """`kept` is how many recordings, of this and earlier evaluations, the folder holds at most."""
+        """`kept` is how many recordings, also of earlier evaluations, the folder holds at most; None: all."""
         self._driver = driver
         self._town = town
         self._folder = folder
@@ -53,7 +53,8 @@ class Recorder(Onlooker):
         if index not in self._open:
             return
         self._open.pop(index).finish()
-        prune_recordings(self._folder, self._kept)
+        if self._kept is not None:
+            prune_recordings(self._folder, self._kept)
         if index == 0 and self._broadcast is not None:
             self._broadcast.show(self._first_episode)
 

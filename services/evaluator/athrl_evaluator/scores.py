@@ -28,6 +28,7 @@ class EpisodeResult:
     collision: bool
     off_lane: bool
     full: bool  # it lasted until the time limit
+    success: bool  # arrived, or without a destination lasted, with neither collision nor lane exit
     driving_score: float  # CARLA leaderboard's, 0 to 1
     comfort: float  # share of the ticks within all of nuPlan's bounds
     time_to_collision_kept: float  # share of the ticks with more than nuPlan's 0.95 s
@@ -46,6 +47,7 @@ class Scores:
     collision_rate: float
     off_lane_rate: float
     full_episode_rate: float
+    success_rate: float
     driving_score: float
     comfort: float
     time_to_collision_kept: float
@@ -72,6 +74,7 @@ def score(results: Sequence[EpisodeResult]) -> Scores:
         collision_rate=float(np.mean([result.collision for result in results])),
         off_lane_rate=float(np.mean([result.off_lane for result in results])),
         full_episode_rate=float(np.mean([result.full for result in results])),
+        success_rate=float(np.mean([result.success for result in results])),
         driving_score=float(np.mean([result.driving_score for result in results])),
         comfort=float(np.mean([result.comfort for result in results])),
         time_to_collision_kept=float(np.mean([result.time_to_collision_kept for result in results])),

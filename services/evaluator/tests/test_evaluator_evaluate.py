@@ -5,12 +5,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium
 import pytest
 from athrl_driving.policy import InvalidPolicy, OnnxPolicy
-from athrl_evaluator import REFERENCE_DRIVERS, Scores, evaluate_driver
+from athrl_evaluator import CASE_STUDIES, REFERENCE_DRIVERS, Scores, evaluate_driver
 from athrl_evaluator.drivers import GreedyPolicy
 from athrl_evaluator.episodes import drive_episodes
 from athrl_evaluator.evaluate import environment_for, make_batch
+from athrl_evaluator.recording_drawing import read_frames
+from athrl_protocol import RunFileError
 from athrl_protocol.run_file import EnvironmentSection
 
 ENVIRONMENT = EnvironmentSection(vehicles=20, episode_ticks=60)
@@ -65,6 +68,61 @@ def test_a_policy_drives_with_the_ranges_that_it_was_trained_for(artefact: bytes
     assert (fitted.image_size, fitted.vehicles) == (32, 7)
     assert fitted.maximum_speed == pytest.approx(7.95)
     assert math.radians(fitted.waypoint_half_angle) == pytest.approx(math.pi / 6)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("image_size", 64), ("maximum_speed", 5.0), ("waypoint_half_angle", 45.0)]
+)
+def test_a_setting_that_a_policy_was_not_made_for_is_refused_by_its_name(
+    artefact: bytes, key: str, value: float
+):
+    with pytest.raises(RunFileError, match=f"environment.{key} is {value:g}, but the policy was made for"):
+        evaluate(OnnxPolicy(artefact), environment=EnvironmentSection(**{key: value}))
+
+
+def test_settings_that_say_what_the_policy_was_made_for_are_no_conflict(artefact: bytes):
+    section = EnvironmentSection(**EnvironmentSection(vehicles=3, episode_ticks=20).model_dump())
+    assert evaluate(OnnxPolicy(artefact), environment=section, episodes=2).episodes == 2
+
+
+@pytest.mark.parametrize("name", CASE_STUDIES)
+def test_a_case_study_is_the_environment_of_its_id(name: str):
+    batch = make_batch(EnvironmentSection(), 1, case_study=name)
+    env = gymnasium.make(CASE_STUDIES[name]).unwrapped
+    config = batch.environments[0].config
+    assert {key: config[key] for key in config if env.config[key] != config[key]} == {
+        "offscreen_rendering": None
+    }
+    batch.reset(0, 5)
+    env.reset(seed=5)
+    assert batch.environments[0].vehicle.position.tolist() == env.vehicle.position.tolist()
+    batch.close()
+
+
+def test_a_case_study_takes_its_vehicles_from_who_names_them():
+    batch = make_batch(EnvironmentSection(vehicles=7), 1, case_study="roundabout")
+    assert batch.environments[0].config["vehicles_count"] == 7
+    assert batch.environments[0].config["episode_ticks"] == 1000
+    batch.close()
+
+
+def test_the_rule_based_driver_arrives_in_every_case_study_and_every_episode_is_recorded(tmp_path: Path):
+    for name in CASE_STUDIES:
+        folder = tmp_path / name
+        scores = evaluate("rule-based", environment=None, case_study=name, episodes=2, record=folder, batch=2)
+        assert scores.success_rate == 1.0
+        files = sorted(path.name for path in folder.iterdir())
+        assert files == ["rule-based-seed-11.mcap", "rule-based-seed-12.mcap"]
+        frames = list(read_frames(folder / files[0]))
+        assert (frames[0].town, frames[0].episode_seed) == ("town03", 11)
+
+
+def test_recordings_that_were_there_stay(tmp_path: Path):
+    older = [tmp_path / f"older-{number}.mcap" for number in range(5)]
+    for path in older:
+        path.write_bytes(b"older")
+    evaluate("blind", episodes=2, record=tmp_path)
+    assert all(path.exists() for path in older)
 
 
 def test_the_rule_based_driver_beats_random():

@@ -24,6 +24,7 @@ SCORES = {
     "collision_rate",
     "off_lane_rate",
     "full_episode_rate",
+    "success_rate",
     "driving_score",
     "comfort",
     "time_to_collision_kept",

@@ -14,6 +14,7 @@ def episode(episode_return: float, **changes: object) -> EpisodeResult:
         "collision": False,
         "off_lane": False,
         "full": True,
+        "success": True,
         "driving_score": 0.8,
         "comfort": 1.0,
         "time_to_collision_kept": 1.0,
@@ -26,7 +27,7 @@ def test_rates_and_means_are_over_episodes():
     scores = score(
         [
             episode(10.0),
-            episode(20.0, collision=True, full=False),
+            episode(20.0, collision=True, full=False, success=False),
             episode(30.0, off_lane=True, full=False),
             episode(40.0, distance=300.0, driving_score=0.4, comfort=0.6, red_lights=2),
         ]
@@ -35,6 +36,7 @@ def test_rates_and_means_are_over_episodes():
     assert scores.return_mean == 25.0
     assert scores.distance_m == 150.0
     assert (scores.collision_rate, scores.off_lane_rate, scores.full_episode_rate) == (0.25, 0.25, 0.5)
+    assert scores.success_rate == 0.75
     assert (scores.driving_score, scores.comfort, scores.red_lights) == pytest.approx((0.7, 0.9, 0.5))
 
 

@@ -1,0 +1,19 @@
+"""The paper's case studies by short names, for evaluations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from athrl_driving.scenarios import SCENARIOS
+
+CASE_STUDIES = {
+    "roundabout": "athrl/Roundabout-v0",
+    "oncoming-traffic": "athrl/OncomingTraffic-v0",
+    "unprotected-left": "athrl/UnprotectedLeft-v0",
+}
+"""Short name -> id of the environment."""
+
+
+def case_study_settings(case_study: str) -> dict[str, Any]:
+    """What a case study fixes of an environment's settings: town, start, destination, traffic, time."""
+    return dict(SCENARIOS[CASE_STUDIES[case_study]])
