@@ -210,6 +210,11 @@ def main() -> None:
     parser.add_argument("--transitions", type=float, default=5000, help="a second, of all actors together")
     parser.add_argument("--seconds", type=float, default=20.0)
     arguments = parser.parse_args()
+    if arguments.actors < 1 or arguments.processes < 1 or arguments.actors % arguments.processes:
+        parser.error(
+            f"--actors {arguments.actors} is not to be shared evenly by --processes {arguments.processes}, "
+            "it should be a multiple"
+        )
     with tempfile.TemporaryDirectory() as folder:
         row = measure(arguments, Path(folder) / "experience")
     row = {name: round(value, 3) for name, value in row.items()}

@@ -8,6 +8,7 @@ every chunk has to be in the log once, and no fewer than the actors were told.
 
     python -m benchmarks.recovery                   about seven minutes
     python -m benchmarks.recovery --pause 8 --rounds 1
+    python -m benchmarks.recovery --cuts 7 8 9 10   only cut networks, for so long each
 
 A partition takes root, `ip` and `iptables`; without them that row is left out.
 """
@@ -75,29 +76,28 @@ class Updates:
 class Trial:
     """A fleet at work, and what was measured on it."""
 
-    def __init__(self, fleet: Fleet, pause: float) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         self.fleet = fleet
         self.updates = Updates()
         self.seconds: defaultdict[str, list[dict[str, float]]] = defaultdict(list)
-        self._pause = pause
 
     def kill(self, name: str, actors: Iterable[str]) -> None:
         """Kill a service, and start its successor at once."""
         self.fleet.kill(name)
         self._measure(f"{name} killed", lambda: self.fleet.start_again(name), actors, name)
 
-    def stand_still(self, name: str, actors: Iterable[str]) -> None:
+    def stand_still(self, name: str, actors: Iterable[str], seconds: float) -> None:
         """Pause a service."""
         self.fleet.signal([name], signal.SIGSTOP)
-        time.sleep(self._pause)
+        time.sleep(seconds)
         go_on = lambda: self.fleet.signal([name], signal.SIGCONT)  # noqa: E731
-        self._measure(f"{name} paused {self._pause:g} s", go_on, actors, name)
+        self._measure(f"{name} paused {seconds:g} s", go_on, actors, name)
 
-    def cut(self, island: network.Network) -> None:
+    def cut(self, island: network.Network, seconds: float) -> None:
         """Let nothing through to an actor and a router, the distant actor's."""
         island.cut()
-        time.sleep(self._pause)
-        self._measure(f"network cut {self._pause:g} s", island.mend, ACTORS, "")
+        time.sleep(seconds)
+        self._measure(f"network cut {seconds:g} s", island.mend, ACTORS, "")
 
     def _measure(self, fault: str, comes_back: Callable[[], None], actors: Iterable[str], who: str) -> None:
         mark, began = self.fleet.mark(), time.monotonic()
@@ -150,9 +150,9 @@ def whole_run(folder: Path, island: network.Network | None) -> Iterator[Fleet]:
 
 
 @contextlib.contextmanager
-def at_work(fleet: Fleet, pause: float) -> Iterator[Trial]:
+def at_work(fleet: Fleet) -> Iterator[Trial]:
     """Wait until everybody works, and let them leave at the end, which checks every chunk."""
-    trial = Trial(fleet, pause)
+    trial = Trial(fleet)
     with fleet.watch() as session, PolicySubscriber(session, RUN, trial.updates.take):
         fleet.await_storing(ACTORS, fleet.mark(), STARTING)
         if "evaluator" in fleet.processes:
@@ -172,26 +172,27 @@ def faults_of_processes(rounds: int, pause: float) -> dict[str, list[dict[str, f
     with (
         tempfile.TemporaryDirectory() as folder,
         whole_run(Path(folder), None) as fleet,
-        at_work(fleet, pause) as trial,
+        at_work(fleet) as trial,
     ):
         hit = {"learner": ACTORS, NEAR: (NEAR,), "router": (DISTANT,), "evaluator": ()}
         for _ in range(rounds):
             for name, actors in hit.items():
                 trial.kill(name, actors)
         for name, actors in hit.items():
-            trial.stand_still(name, actors)
+            trial.stand_still(name, actors, pause)
     return dict(trial.seconds)
 
 
-def partition(pause: float) -> dict[str, list[dict[str, float]]]:
-    """Cut an actor and a router off."""
+def partition(cuts: Iterable[float]) -> dict[str, list[dict[str, float]]]:
+    """Cut an actor and a router off, for so many seconds each time."""
     with (
         tempfile.TemporaryDirectory() as folder,
         network.Network() as island,
         whole_run(Path(folder), island) as fleet,
-        at_work(fleet, pause) as trial,
+        at_work(fleet) as trial,
     ):
-        trial.cut(island)
+        for seconds in cuts:
+            trial.cut(island, seconds)
     return dict(trial.seconds)
 
 
@@ -200,13 +201,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=3, help="kills of each")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds of a pause and of a cut network")
+    parser.add_argument(
+        "--cuts", type=float, nargs="+", help="only cut the network, for so many seconds each"
+    )
     arguments = parser.parse_args()
-    seconds = faults_of_processes(arguments.rounds, arguments.pause)
     reason = network.why_not()
+    if reason and arguments.cuts:
+        parser.error(f"no network can be cut: {reason}")
+    seconds = {} if arguments.cuts else faults_of_processes(arguments.rounds, arguments.pause)
     if reason:
         print(f"no network is cut: {reason}")
     else:
-        seconds |= partition(arguments.pause)
+        seconds |= partition(arguments.cuts or [arguments.pause])
     print("| fault | times | goes on after, s, median | worst |\n|---|---|---|---|")
     rows = {}
     for fault, measured in seconds.items():

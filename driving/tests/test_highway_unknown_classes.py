@@ -123,6 +123,8 @@ def test_unknown_road_and_network_classes_are_named(environment: Any) -> None:
 def test_what_is_not_highway_envs_is_named() -> None:
     with pytest.raises(UnknownClassError, match="CartPoleEnv: it is not an environment of highway-env"):
         accelerate(gymnasium.make("CartPole-v1"))
+    with pytest.raises(UnknownClassError, match="str: it is not an environment of highway-env"):
+        accelerate("highway-v0")  # type: ignore[type-var]
 
 
 def test_a_subclass_with_its_own_constructor_parameters_and_helpers_is_known(environment: Any) -> None:

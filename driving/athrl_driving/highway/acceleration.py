@@ -31,7 +31,7 @@ def accelerate(env: Environment) -> Environment:
     `UnknownClassError` (a `ValueError`), at once or at a later reset, that names the class of a vehicle, an
     object, a lane or a road which the kernels do not know.
     """
-    plain = env.unwrapped
+    plain = getattr(env, "unwrapped", env)
     if not isinstance(plain, AbstractEnv):
         name = f"{type(plain).__module__}.{type(plain).__qualname__}"
         raise UnknownClassError(f"cannot accelerate {name}: it is not an environment of highway-env")
