@@ -29,9 +29,12 @@ LIMIT = 4.0
 def start(command, service: str, limit: float, *arguments: str) -> subprocess.Popen[str]:
     """Start a service that hangs when it is asked to stop."""
     module, name = HANGS[service]
-    program = HANGING.format(module=module, name=name)
+    return start_program(command, HANGING.format(module=module, name=name), limit, service, *arguments)
+
+
+def start_program(command, program: str, limit: float, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-c", program, str(limit), service, *arguments],
+        [sys.executable, "-c", program, str(limit), *arguments],
         cwd=command.folder,
         env=command.environment(),
         stdin=subprocess.DEVNULL,
@@ -99,15 +102,7 @@ def test_whole_run_that_hangs_in_its_drain_leaves_no_process(
 ) -> None:
     long = ["--set", "run.environment_steps=1000000"]
     arguments = [*tiny, *long, "--name", "stuck", "--actors", "1", "--viewer-port", "0"]
-    run = subprocess.Popen(
-        [sys.executable, "-c", TRAIN, str(LIMIT), "train", *arguments],
-        cwd=command.folder,
-        env=command.environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    run = start_program(command, TRAIN, LIMIT, "train", *arguments)
     look = ["status", "--connect", f"tcp/127.0.0.1:{port}", "--run", "stuck", "--check", "evaluator"]
     eventually(lambda: command.run(*look, seconds=60).returncode == 0, 200)
     run.send_signal(signal.SIGTERM)

@@ -16,7 +16,7 @@ MOST_CHUNKS = 16
 """In one query."""
 MOST_BYTES = 256 * 2**10
 """Of several chunks in one query; a larger one comes alone."""
-_LARGEST_SIZES = 4 * 2**10
+_LARGEST_ATTACHMENT = 4 * 2**10
 
 
 def joined(messages: Sequence[bytes]) -> tuple[bytes, bytes | None]:
@@ -35,7 +35,7 @@ def taken_apart(content: bytes, attachment: bytes | None) -> list[bytes]:
     """
     if attachment is None:
         return [content]
-    sizes = decode_message(athrl_pb2.Delivery, attachment, largest=_LARGEST_SIZES).sizes
+    sizes = decode_message(athrl_pb2.Delivery, attachment, largest=_LARGEST_ATTACHMENT).sizes
     if not 1 <= len(sizes) <= MOST_CHUNKS or sum(sizes) != len(content):
         raise InvalidMessage(
             "shape",
