@@ -7,8 +7,8 @@ pygame gets no screen. With one it loads the graphics driver, which brings an LL
 get along with triton's: importing torch's compiler in the same process afterwards crashes. `putenv` tells SDL
 alone; highway-env, which looks into `os.environ`, would stop drawing altogether.
 
-MKL reads MKL_CBWR when it first computes. Serial runs set it in time in a process of their own; here some other
-test may have computed before one, and its last bits would be those of sums in another order.
+MKL reads MKL_CBWR when it first computes. Serial runs set it in time in a process of their own; here some
+other test may have computed before one, and its last bits would be those of sums in another order.
 """
 
 import os
