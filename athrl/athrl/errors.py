@@ -15,6 +15,7 @@ _EXPECTED = (
     ("athrl_driving.policy", "EnvironmentFailure"),
     ("athrl_learner", "LearnerError"),
     ("athrl_actor", "ActorError"),
+    ("athrl_evaluator.errors", "EvaluatorError"),
 )
 
 EXPECTED_ERROR = 2

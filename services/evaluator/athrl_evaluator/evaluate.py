@@ -40,8 +40,8 @@ def evaluate_driver(
     the case study (see `make_batch`). The scores do not depend on `batch`, the number of environments stepped
     together. Each episode is recorded as an MCAP file in the folder `record`, if there is one.
     Raises InvalidPolicy for a file that is not a policy, RunFileError where `environment` names a value that
-    the policy was not made for, and EnvironmentFailure where an environment fails or takes longer than
-    `stall_seconds`.
+    the policy was not made for, EnvironmentFailure where an environment fails or takes longer than
+    `stall_seconds`, and EvaluatorError where the disk does not take the recordings.
     """
     section = environment or EnvironmentSection()
     policy = None if driver in REFERENCE_DRIVERS else _load(driver)
@@ -54,7 +54,7 @@ def evaluate_driver(
         drives = make_batch_driver(policy if policy is not None else str(driver), len(environments))
         if record is not None:
             town = environments.environments[0].config["town"]
-            recorder = Recorder(drives, town, record, episodes=episodes, kept=None)
+            recorder = Recorder(drives, town, record, episodes=episodes, kept=None, needed=True)
             stack.callback(recorder.close)
             onlookers = [recorder, *onlookers]
         return score(drive_episodes(drives, environments, range(seed, seed + episodes), onlookers))

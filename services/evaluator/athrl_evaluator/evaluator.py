@@ -48,7 +48,8 @@ def run_evaluator(*, connect: str, run: str, name: str, folder: Path, stop: thre
     """Evaluate until the run is finished and compared, or `stop` is set.
 
     Results are written under `folder/run`. Raises ProtocolError when the learner or the run is not there, or
-    another live evaluator has the name, and EnvironmentFailure when the closing comparison cannot be driven.
+    another live evaluator has the name, and EnvironmentFailure when the closing comparison cannot be driven
+    and EvaluatorError when the disk does not take it.
     """
     with ExitStack() as stack:
         joined = join_run(role=ROLE, connect=connect, run=run, name=name, stop=stop, stack=stack)

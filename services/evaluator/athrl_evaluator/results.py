@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from athrl_protocol import EvaluationResult
+
+from athrl_evaluator.errors import writing
+
+log = logging.getLogger(__name__)
 
 
 class ResultsFolder:
@@ -20,17 +26,27 @@ class ResultsFolder:
         self.recordings = self.path / "recordings"
         self._lines = self.path / "evaluations.jsonl"
         self._closing = self.path / "evaluation.json"
+        self._unwritten: list[str] = []
         self.recordings.mkdir(parents=True, exist_ok=True)
         for part in self.recordings.glob("*.part"):  # of an evaluator that was killed
             part.unlink(missing_ok=True)
 
     def add(self, result: EvaluationResult) -> None:
-        """Append one result to `evaluations.jsonl`."""
-        with self._lines.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(asdict(result)) + "\n")
+        """Append one result to `evaluations.jsonl`; what a full disk does not take goes with the next one."""
+        self._unwritten.append(json.dumps(asdict(result)) + "\n")
+        try:
+            _append("".join(self._unwritten).encode(), self._lines)
+        except OSError as error:
+            log.warning("cannot write %s: %s; the result is kept for later", self._lines, error.strerror)
+        else:
+            self._unwritten.clear()
 
     def write_comparison(self, run: str, results: Sequence[EvaluationResult]) -> None:
-        """Write the closing comparison, `evaluation.json`; the file is whole or absent."""
+        """Write the closing comparison, `evaluation.json`; the file is whole or absent.
+
+        Raises:
+            EvaluatorError: the disk does not take it.
+        """
         policy = next(result for result in results if result.driver == "policy")
         document = {
             "run": run,
@@ -41,5 +57,21 @@ class ResultsFolder:
             "drivers": {result.driver: result.scores for result in results},
         }
         part = self._closing.with_name(self._closing.name + ".part")
-        part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-        os.replace(part, self._closing)
+        with writing(self._closing):
+            try:
+                part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+                os.replace(part, self._closing)
+            finally:
+                part.unlink(missing_ok=True)
+
+
+def _append(content: bytes, path: Path) -> None:
+    """Append to a file all or nothing; raises OSError."""
+    with path.open("ab", buffering=0) as stream:
+        size = stream.seek(0, os.SEEK_END)
+        try:
+            if stream.write(content) != len(content):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            stream.truncate(size)
+            raise

@@ -1,0 +1,81 @@
+"""A disk that is full: a result that was driven is not lost for it, and what was asked for is refused."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from athrl_evaluator import evaluate_driver
+from athrl_evaluator.drivers import ReferenceDriver
+from athrl_evaluator.episodes import drive_episodes
+from athrl_evaluator.errors import EvaluatorError
+from athrl_evaluator.evaluate import make_batch
+from athrl_evaluator.onlookers import Recorder
+from athrl_evaluator.results import ResultsFolder
+from athrl_protocol import EvaluationResult
+from athrl_protocol.run_file import EnvironmentSection
+
+ENVIRONMENT = EnvironmentSection(vehicles=5, episode_ticks=40)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 64 KiB; skips where this user may mount none."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = [shutil.which("mount") or "false", "-t", "tmpfs", "-o", "size=64k", "tmpfs", folder]
+    if subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("this user may not mount a file system")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def fill(disk: Path) -> Path:
+    ballast = disk / "ballast"
+    with ballast.open("wb", buffering=0) as file:
+        while file.write(bytes(4096)) == 4096:
+            if shutil.disk_usage(disk).free < 4096:
+                break
+    return ballast
+
+
+def test_recordings_that_were_asked_for_and_do_not_fit_end_the_evaluation_and_leave_no_half_file(small_disk):
+    fill(small_disk)
+    with pytest.raises(EvaluatorError, match=r"^cannot write .*/rule-based-seed-\d\.mcap: No space left"):
+        evaluate_driver("rule-based", environment=ENVIRONMENT, episodes=2, seed=1, record=small_disk)
+    assert not list(small_disk.glob("*.mcap*"))
+
+
+def test_a_run_is_scored_though_its_recordings_do_not_fit(small_disk, caplog):
+    fill(small_disk)
+    driver = ReferenceDriver("rule-based", 2)
+    recorder = Recorder(driver, "town03", small_disk, episodes=2, kept=10)
+    results = drive_episodes(driver, make_batch(ENVIRONMENT, 2), [1, 2, 3], [recorder])
+    assert len(results) == 3
+    assert caplog.text.count("is not recorded any more") == 1
+    assert not list(small_disk.glob("*.mcap*"))
+
+
+def test_a_result_that_the_disk_does_not_take_is_written_when_there_is_room(small_disk, caplog):
+    folder = ResultsFolder(small_disk, "run")
+    first, second, third = (
+        EvaluationResult("policy", version, 100, "town03", 1, {"note": float(version)})
+        for version in range(3)
+    )
+    folder.add(first)
+    lines = small_disk / "run" / "evaluations.jsonl"
+    with lines.open("ab") as stream:  # to the end of its block, so that the next one does not fit in there
+        stream.write(b" " * (4095 - lines.stat().st_size) + b"\n")
+    whole, ballast = lines.read_bytes(), fill(small_disk)
+    folder.add(second)
+    assert lines.read_bytes() == whole
+    assert "No space left on device; the result is kept for later" in caplog.text
+    with pytest.raises(EvaluatorError, match=r"cannot write .*evaluation\.json: No space left"):
+        folder.write_comparison("run", [first])
+    assert not list(small_disk.glob("**/evaluation.json*"))
+    ballast.unlink()
+    folder.add(third)
+    told = [json.loads(line)["policy_version"] for line in lines.read_text().splitlines() if line.strip()]
+    assert told == [0, 1, 2]
