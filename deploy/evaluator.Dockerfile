@@ -8,7 +8,6 @@ RUN apt-get update \
     && install --directory --owner athrl /runs /var/cache/athrl /certificates/evaluator /certificates/viewer
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/var/cache/athrl OMP_NUM_THREADS=1 SDL_VIDEODRIVER=dummy
-VOLUME /runs
 EXPOSE 9877
 STOPSIGNAL SIGTERM
 # Healthy is an evaluator that takes part in the run.

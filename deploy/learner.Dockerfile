@@ -8,7 +8,6 @@ RUN apt-get update \
     && install --directory --owner athrl /runs /certificates/authority /certificates/learner /certificates/actor \
         /certificates/evaluator /certificates/viewer /certificates/router
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1
-VOLUME /runs
 EXPOSE 7447
 STOPSIGNAL SIGTERM
 # Healthy is a learner that answers with the state of its run.
