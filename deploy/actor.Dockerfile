@@ -1,11 +1,11 @@
-# The actor: protocol and driving with ONNX Runtime, no torch.
+# The actor and the router: protocol and driving with ONNX Runtime, no torch.
 FROM debian:bookworm-slim
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends ca-certificates python3 python3-venv \
     && rm -rf /var/lib/apt/lists/* \
     && python3 -m venv /opt/athrl \
     && useradd --uid 10001 --create-home athrl \
-    && install --directory --owner athrl /var/cache/athrl /certificates/actor
+    && install --directory --owner athrl /var/cache/athrl /certificates/actor /certificates/router
 ENV PATH=/opt/athrl/bin:$PATH PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/var/cache/athrl OMP_NUM_THREADS=1 SDL_VIDEODRIVER=dummy
 STOPSIGNAL SIGTERM
