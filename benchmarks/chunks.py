@@ -39,11 +39,16 @@ def real_chunk(steps: int) -> Chunk:
         episode_seed=1,
         first_step=0,
         length=steps,
+        state_interval=steps,
         images=np.stack([observation["image"] for observation in observations]),
         motion=np.stack([observation["motion"] for observation in observations]),
         levels={
-            "intention": LevelColumns(np.zeros((steps, 1), np.float32), zeros, np.zeros(128, np.float32)),
-            "trajectory": LevelColumns(np.zeros((steps, 2), np.float32), zeros, np.zeros(128, np.float32)),
+            "intention": LevelColumns(
+                np.zeros((steps, 1), np.float32), zeros, np.zeros((1, 128), np.float32)
+            ),
+            "trajectory": LevelColumns(
+                np.zeros((steps, 2), np.float32), zeros, np.zeros((1, 128), np.float32)
+            ),
         },
         policy_version=np.zeros(steps, np.int64),
         terminated=False,

@@ -23,13 +23,14 @@ def made_up_chunk(steps: int, *, image_size: int = 32, state: int = 128, seed: i
         episode_seed=seed,
         first_step=0,
         length=steps,
+        state_interval=steps,
         images=np.stack([_image(random, image_size) for _ in range(steps + 1)]),
         motion=random.uniform(-1, 1, (steps + 1, 2)).astype(np.float32),
         levels={
             name: LevelColumns(
                 actions.astype(np.float32),
                 random.normal(size=steps).astype(np.float32),
-                random.normal(size=state).astype(np.float32),
+                random.normal(size=(1, state)).astype(np.float32),
             )
             for name, actions in levels.items()
         },

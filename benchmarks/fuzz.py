@@ -91,11 +91,12 @@ def example_chunk(generator: np.random.Generator) -> Chunk:
         episode_seed=2**40,
         first_step=8,
         length=TIME,
+        state_interval=TIME,
         images=generator.integers(0, 2, (TIME + 1, *settings.image_shape), dtype=np.uint8),
         motion=floats(TIME + 1, settings.motion_size),
         levels={
-            "intention": LevelColumns(floats(TIME, 1), floats(TIME), floats(8)),
-            "trajectory": LevelColumns(floats(TIME, 2), floats(TIME), floats(8)),
+            "intention": LevelColumns(floats(TIME, 1), floats(TIME), floats(1, 8)),
+            "trajectory": LevelColumns(floats(TIME, 2), floats(TIME), floats(1, 8)),
         },
         policy_version=np.arange(TIME, dtype=np.int64),
         terminated=False,
@@ -114,7 +115,7 @@ class ChunkReceiver:
         """Return what would go into the replay."""
         chunk = decode_chunk(payload)
         self._ledger.judge(chunk)
-        sequence = self._reader.sequence(chunk)
+        (sequence,) = self._reader.sequences(chunk)
         assert sequence.images.dtype == np.uint8
         assert sequence.images.shape == (TIME + 1, *observation().image_shape)
         for columns in (sequence.actions, sequence.rewards, sequence.initial_state):
@@ -202,7 +203,7 @@ def changed_numbers(chance: random.Random, target: Target) -> bytes:
         return changed_field(chance, target)
     level = chance.choice(message.levels)
     holder, name = chance.choice(
-        [(message, "motion"), (level, "actions"), (level, "rewards"), (level, "initial_state")]
+        [(message, "motion"), (level, "actions"), (level, "rewards"), (level, "states")]
     )
     column = bytearray(getattr(holder, name))
     struct.pack_into("<f", column, 4 * chance.randrange(len(column) // 4), chance.choice(_FLOATS[2:]))

@@ -5,8 +5,9 @@ ONNX Runtime, chunks, upload. Its learner is a process of its own which takes ch
 acknowledges them, without training; it shares the machine. In turns the actor streams, and drives the same
 environments without gathering, encoding or sending anything. A decision's cost is told by thread: gathering
 is what the driving thread takes beyond driving, with a check of each chunk; the uploader's thread encodes,
-sends and hears answers; Zenoh's own threads are the network. Check, encoding and, within that, compression
-are measured alone as well, on chunks that were sent.
+sends and hears answers; Zenoh's own threads are the network. Each figure is the median over many pairs of
+short turns, one of each kind right after the other, as other work on the machine comes and goes. Check,
+encoding and, within that, compression are measured alone as well, on chunks that were sent.
 """
 
 from __future__ import annotations
@@ -24,24 +25,25 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from athrl_actor.actor import ROLE, Actor
 from athrl_actor.rollout import Rollout
 from athrl_protocol import Chunk, RunFile, join_run, read_run_file
 from athrl_protocol.chunk import check_chunk
-from athrl_protocol.chunk_codec import encode_checked
-from athrl_protocol.image_codec import pack_images
+from athrl_protocol.chunk_codec import Identity, encode_checked
+from athrl_protocol.image_codec import Compression, pack_images
 
 from benchmarks.router import free_address
 
 RUN = "benchmark"
 NAME = "streaming"
 _PATIENCE = 60.0
-_TURNS = 5
-_TICKS = os.sysconf("SC_CLK_TCK")
+_TURN_SECONDS = 0.5
+_KINDS = ("driving", "upload", "network")
 
 
-def learner(address: str, overrides: list[str], folder: str) -> None:
+def learner(address: str, overrides: list[str], folder: str, policy: Path | None) -> None:
     """Be the learner until the input is closed: publish one policy, take chunks in."""
     from athrl.doctor.light_learner import WritingReceiver
     from athrl_learner import translation
@@ -57,7 +59,8 @@ def learner(address: str, overrides: list[str], folder: str) -> None:
 
     run_file = read_run_file(None, overrides)
     log = translation.make_log(run_file, Path(folder))
-    artefact = PolicyExporter(translation.make_agent(run_file)).artefact()
+    untrained = translation.make_agent(run_file)
+    artefact = policy.read_bytes() if policy else PolicyExporter(untrained).artefact()
     with (
         open_session(listen=address, timeout=_PATIENCE) as session,
         serve_run_file(session, run_file),
@@ -72,11 +75,12 @@ def learner(address: str, overrides: list[str], folder: str) -> None:
 
 
 @contextlib.contextmanager
-def learner_process(overrides: list[str]) -> Iterator[str]:
+def learner_process(overrides: list[str], policy: Path | None) -> Iterator[str]:
     """A learner in a process of its own; gives its address."""
     address = free_address()
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "benchmarks.streaming", "--learner", address, "--folder", folder]
+        command += ["--policy", str(policy)] if policy else []
         command += [word for override in overrides for word in ("--set", override)]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
             if process.stdout.readline() != b"ready\n":
@@ -100,17 +104,17 @@ class SilentRollout(Rollout):
         return chunks
 
 
-class Lap:
-    """CPU seconds by thread, and seconds of the clock, over the turns of one kind."""
+class Turn(NamedTuple):
+    """What a decision took in one turn, microseconds: by the clock, and CPU time by kind of thread."""
 
-    def __init__(self) -> None:
-        self.decisions = 0
-        self.clock: list[float] = []  # microseconds a decision, of each turn
-        self.busy: Counter[str] = Counter()  # CPU seconds
+    decisions: int
+    clock: float
+    busy: dict[str, float]
 
-    def microseconds(self, *kinds: str) -> float:
-        """CPU time of a decision in threads of these kinds, or of all."""
-        return 1e6 * sum(self.busy[kind] for kind in kinds or self.busy) / self.decisions
+    @property
+    def cpu(self) -> float:
+        """CPU time in all threads."""
+        return sum(self.busy.values())
 
 
 def busy_by_thread(main: int, upload: int) -> Counter[str]:
@@ -141,7 +145,6 @@ class Measured:
         rollout.kept = []
         self.rollout = rollout
         self._upload = actor._uploader._thread.native_id
-        self.laps = {True: Lap(), False: Lap()}
 
     def warm_up(self) -> None:
         """Wait for the policy, compile, fill caches."""
@@ -153,23 +156,21 @@ class Measured:
             time.sleep(0.01)
         self._drive(2.0)
 
-    def turn(self, streaming: bool, seconds: float) -> None:
+    def turn(self, streaming: bool) -> Turn:
         """Drive for a while in one of the two ways."""
-        lap, main = self.laps[streaming], threading.get_native_id()
-        self._drive(0.2)  # both begin with full queues and warm caches
+        main = threading.get_native_id()
+        self._drive(0.1)  # both begin with full queues and warm caches
         if not streaming:
             self._actor._hand_over(self.rollout.flush())
             self._actor._uploader.flush(_PATIENCE)
         self.rollout.silent = not streaming
         before, began = busy_by_thread(main, self._upload), time.perf_counter()
-        decisions = self._drive(seconds)
-        lap.clock.append(1e6 * (time.perf_counter() - began) / decisions)
-        after = busy_by_thread(main, self._upload)
-        after.subtract(before)
-        lap.busy.update(after)
-        lap.decisions += decisions
+        decisions = self._drive(_TURN_SECONDS)
+        clock, after = time.perf_counter() - began, busy_by_thread(main, self._upload)
         self.rollout.silent = False
         self.rollout.abandon(range(len(self._actor._batch)))  # what it drove in silence is no experience
+        busy = {kind: 1e6 * (after[kind] - before[kind]) / decisions for kind in _KINDS}
+        return Turn(decisions, 1e6 * clock / decisions, busy)
 
     def _drive(self, seconds: float) -> int:
         """The loop of `Actor.run`; how many decisions it made."""
@@ -204,34 +205,53 @@ def measure(run_file: RunFile, address: str, seconds: float) -> dict[str, float]
         actor = Actor(session, run_file, NAME, stop, stack)
         measured = Measured(actor)
         measured.warm_up()
-        for _ in range(_TURNS):
-            for streaming in (True, False):
-                measured.turn(streaming, seconds / _TURNS / 2)
-        streamed, silent = measured.laps[True], measured.laps[False]
-        uploads = actor._uploader.statistics()
-        kept, compression = measured.rollout.kept, run_file.network.compression
-        length = sum(chunk.length for chunk in kept)
-        upload = streamed.microseconds("upload") - silent.microseconds("upload")
-        network = streamed.microseconds("network") - silent.microseconds("network")
-        gathering = streamed.microseconds("driving") - silent.microseconds("driving")
-        base, full = silent.microseconds(), streamed.microseconds()
+        turns = max(1, round(seconds / _TURN_SECONDS / 2))
+        pairs = [(measured.turn(streaming=True), measured.turn(streaming=False)) for _ in range(turns)]
+        chunks = measured.rollout.kept
         return {
-            "driving_us": base,
-            "streaming_us": full - base,
-            "share_of_cpu": (full - base) / full,
-            "gathering_us": gathering,
-            "upload_thread_us": upload,
-            "checking_us": cost_of(check_chunk, kept),
-            "encoding_us": cost_of(lambda chunk: encode_checked(chunk, compression), kept),
-            "compression_us": cost_of(lambda chunk: pack_images(chunk.images, compression), kept),
-            "network_us": network,
-            "clock_driving_us": statistics.median(silent.clock),
-            "clock_streaming_us": statistics.median(streamed.clock) - statistics.median(silent.clock),
-            "share_of_clock": 1 - statistics.median(silent.clock) / statistics.median(streamed.clock),
-            "bytes_per_transition": sum(len(encode_checked(chunk, compression)) for chunk in kept) / length,
-            "decisions": streamed.decisions,
-            "chunks_resent": uploads.resent,
+            **compared(pairs),
+            **alone(chunks, run_file.network.compression),
+            "decisions": sum(streamed.decisions for streamed, _ in pairs),
+            "decisions_per_chunk": statistics.mean(chunk.length for chunk in chunks),
+            "chunks_resent": actor._uploader.statistics().resent,
         }
+
+
+def compared(pairs: list[tuple[Turn, Turn]]) -> dict[str, float]:
+    """What streaming costs, from pairs of a streaming and a silent turn."""
+
+    def median(of: Callable[[Turn, Turn], float]) -> float:
+        return statistics.median(of(streamed, silent) for streamed, silent in pairs)
+
+    def more(kind: str) -> float:
+        return median(lambda streamed, silent: streamed.busy[kind] - silent.busy[kind])
+
+    return {
+        "driving_us": median(lambda _, silent: silent.cpu),
+        "streaming_us": median(lambda streamed, silent: streamed.cpu - silent.cpu),
+        "share_of_cpu": median(lambda streamed, silent: 1 - silent.cpu / streamed.cpu),
+        "gathering_us": more("driving"),
+        "upload_thread_us": more("upload"),
+        "network_us": more("network"),
+        "clock_driving_us": median(lambda _, silent: silent.clock),
+        "clock_streaming_us": median(lambda streamed, silent: streamed.clock - silent.clock),
+        "share_of_clock": median(lambda streamed, silent: 1 - silent.clock / streamed.clock),
+    }
+
+
+def alone(chunks: list[Chunk], compression: Compression) -> dict[str, float]:
+    """What can be measured without an actor, on chunks that it made."""
+
+    def encoded(chunk: Chunk) -> bytes:
+        return encode_checked(chunk, Identity.of(chunk), compression)
+
+    transitions = sum(chunk.length for chunk in chunks)
+    return {
+        "checking_us": cost_of(check_chunk, chunks),
+        "encoding_us": cost_of(encoded, chunks),
+        "compression_us": cost_of(lambda chunk: pack_images(chunk.images, compression), chunks),
+        "bytes_per_transition": sum(len(encoded(chunk)) for chunk in chunks) / transitions,
+    }
 
 
 def main() -> None:
@@ -239,21 +259,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=30.0, help="of driving, in both ways together")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the run file")
+    parser.add_argument(
+        "--policy", type=Path, help="drives instead of an untrained one, whose episodes are short"
+    )
     parser.add_argument("--learner", help=argparse.SUPPRESS)
     parser.add_argument("--folder", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.learner:
-        learner(arguments.learner, arguments.set, arguments.folder)
+        learner(arguments.learner, arguments.set, arguments.folder, arguments.policy)
         return
     overrides = [f"run.name={RUN}", "run.environment_steps=1000000000", *arguments.set]
     run_file = read_run_file(None, overrides)
     load = os.getloadavg()[0]
-    with learner_process(overrides) as address:
+    with learner_process(overrides, arguments.policy) as address:
         row = {name: round(value, 4) for name, value in measure(run_file, address, arguments.seconds).items()}
     for name, value in row.items():
         print(f"{name:24s} {value:12,.3f}")
     facts = {"cores": os.cpu_count(), "load": load, "environments": run_file.actor.environments}
-    facts |= {"steps": run_file.replay.sequence_length, "compression": run_file.network.compression}
+    facts |= {"longest_chunk": run_file.longest_chunk, "compression": run_file.network.compression}
     print(json.dumps({**facts, **row}))
 
 

@@ -8,21 +8,21 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Level(_message.Message):
-    __slots__ = ("name", "action_size", "actions", "rewards", "initial_state")
+    __slots__ = ("name", "action_size", "actions", "rewards", "states")
     NAME_FIELD_NUMBER: _ClassVar[int]
     ACTION_SIZE_FIELD_NUMBER: _ClassVar[int]
     ACTIONS_FIELD_NUMBER: _ClassVar[int]
     REWARDS_FIELD_NUMBER: _ClassVar[int]
-    INITIAL_STATE_FIELD_NUMBER: _ClassVar[int]
+    STATES_FIELD_NUMBER: _ClassVar[int]
     name: str
     action_size: int
     actions: bytes
     rewards: bytes
-    initial_state: bytes
-    def __init__(self, name: _Optional[str] = ..., action_size: _Optional[int] = ..., actions: _Optional[bytes] = ..., rewards: _Optional[bytes] = ..., initial_state: _Optional[bytes] = ...) -> None: ...
+    states: bytes
+    def __init__(self, name: _Optional[str] = ..., action_size: _Optional[int] = ..., actions: _Optional[bytes] = ..., rewards: _Optional[bytes] = ..., states: _Optional[bytes] = ...) -> None: ...
 
 class Chunk(_message.Message):
-    __slots__ = ("schema_version", "schema_hash", "actor", "incarnation", "sequence", "environment", "episode_seed", "first_step", "time", "length", "image_height", "image_width", "image_channels", "motion_size", "images", "motion", "levels", "policy_version", "terminated", "truncated", "oldest_held", "image_compression")
+    __slots__ = ("schema_version", "schema_hash", "actor", "incarnation", "sequence", "environment", "episode_seed", "first_step", "time", "length", "image_height", "image_width", "image_channels", "motion_size", "images", "motion", "levels", "policy_version", "terminated", "truncated", "oldest_held", "image_compression", "state_interval")
     class Compression(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         ZSTD: _ClassVar[Chunk.Compression]
@@ -53,6 +53,7 @@ class Chunk(_message.Message):
     TRUNCATED_FIELD_NUMBER: _ClassVar[int]
     OLDEST_HELD_FIELD_NUMBER: _ClassVar[int]
     IMAGE_COMPRESSION_FIELD_NUMBER: _ClassVar[int]
+    STATE_INTERVAL_FIELD_NUMBER: _ClassVar[int]
     schema_version: int
     schema_hash: int
     actor: str
@@ -75,7 +76,8 @@ class Chunk(_message.Message):
     truncated: bool
     oldest_held: int
     image_compression: Chunk.Compression
-    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., actor: _Optional[str] = ..., incarnation: _Optional[int] = ..., sequence: _Optional[int] = ..., environment: _Optional[int] = ..., episode_seed: _Optional[int] = ..., first_step: _Optional[int] = ..., time: _Optional[int] = ..., length: _Optional[int] = ..., image_height: _Optional[int] = ..., image_width: _Optional[int] = ..., image_channels: _Optional[int] = ..., motion_size: _Optional[int] = ..., images: _Optional[bytes] = ..., motion: _Optional[bytes] = ..., levels: _Optional[_Iterable[_Union[Level, _Mapping]]] = ..., policy_version: _Optional[bytes] = ..., terminated: _Optional[bool] = ..., truncated: _Optional[bool] = ..., oldest_held: _Optional[int] = ..., image_compression: _Optional[_Union[Chunk.Compression, str]] = ...) -> None: ...
+    state_interval: int
+    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., actor: _Optional[str] = ..., incarnation: _Optional[int] = ..., sequence: _Optional[int] = ..., environment: _Optional[int] = ..., episode_seed: _Optional[int] = ..., first_step: _Optional[int] = ..., time: _Optional[int] = ..., length: _Optional[int] = ..., image_height: _Optional[int] = ..., image_width: _Optional[int] = ..., image_channels: _Optional[int] = ..., motion_size: _Optional[int] = ..., images: _Optional[bytes] = ..., motion: _Optional[bytes] = ..., levels: _Optional[_Iterable[_Union[Level, _Mapping]]] = ..., policy_version: _Optional[bytes] = ..., terminated: _Optional[bool] = ..., truncated: _Optional[bool] = ..., oldest_held: _Optional[int] = ..., image_compression: _Optional[_Union[Chunk.Compression, str]] = ..., state_interval: _Optional[int] = ...) -> None: ...
 
 class Delivery(_message.Message):
     __slots__ = ("schema_version", "schema_hash", "sizes")

@@ -1,4 +1,7 @@
-"""A chunk: a fixed-length piece of one environment's episode, in columns; and what makes it valid."""
+"""A chunk: a piece of one environment's episode, in columns; and what makes it valid.
+
+It is one or more of the sequences that the replay holds, one behind the other: what goes together costs less.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +31,13 @@ class LevelColumns:
     Attributes:
         actions: float32 [time, action_size], physical units.
         rewards: float32 [time].
-        initial_state: float32 [state_size], the recurrent state before the first step; may be empty.
+        states: float32 [time / state_interval, state_size], the recurrent states before the steps 0,
+            `state_interval`, 2 `state_interval`, ...; may be of size 0.
     """
 
     actions: npt.NDArray[np.float32]
     rewards: npt.NDArray[np.float32]
-    initial_state: npt.NDArray[np.float32]
+    states: npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +51,9 @@ class Chunk:
         environment: index of the environment in its actor.
         episode_seed: seed with which the episode was reset.
         first_step: decision of the episode at which the chunk starts.
-        length: valid steps, 1 to `time`.
+        length: valid steps, at least one of them in the last sequence, at most `time`.
+        state_interval: steps between two recurrent states, which is the length of a sequence; `time` is a
+            multiple of it.
         images: uint8 [time + 1, height, width, channels]; `images[length]` is the last valid step's next
             observation, which is the terminal one if the episode ended.
         motion: float32 [time + 1, motion_size], likewise.
@@ -65,6 +71,7 @@ class Chunk:
     episode_seed: int
     first_step: int
     length: int
+    state_interval: int
     images: npt.NDArray[np.uint8]
     motion: npt.NDArray[np.float32]
     levels: dict[str, LevelColumns]
@@ -75,8 +82,13 @@ class Chunk:
 
     @property
     def time(self) -> int:
-        """The fixed length, padding included."""
+        """Steps, padding included."""
         return len(self.policy_version)
+
+    @property
+    def sequences(self) -> int:
+        """How many sequences it is."""
+        return self.time // self.state_interval
 
 
 def check_chunk(chunk: Chunk) -> None:
@@ -95,8 +107,13 @@ def check_form(chunk: Chunk) -> None:
     time = chunk.time
     if not 1 <= time <= MAXIMUM_TIME:
         raise InvalidMessage("shape", f"chunk: time is {time}, should be 1 to {MAXIMUM_TIME}")
-    if not 1 <= chunk.length <= time:
-        raise InvalidMessage("shape", f"chunk: length is {chunk.length}, should be 1 to time = {time}")
+    interval = chunk.state_interval
+    if interval < 1 or time % interval:
+        raise InvalidMessage("shape", f"chunk: state_interval is {interval}, should divide time = {time}")
+    if not time - interval < chunk.length <= time:
+        raise InvalidMessage(
+            "shape", f"chunk: length is {chunk.length}, should be {time - interval + 1} to time = {time}"
+        )
     _check_column("policy_version", chunk.policy_version, _INT64, (time,))
     if chunk.policy_version.min() < 0:
         raise InvalidMessage("value", "chunk: policy_version has negative numbers")
@@ -112,7 +129,8 @@ def check_form(chunk: Chunk) -> None:
         _check_name("level", name)
         _check_column(f"{name}.actions", level.actions, _FLOAT32, (time, None))
         _check_column(f"{name}.rewards", level.rewards, _FLOAT32, (time,))
-        _check_column(f"{name}.initial_state", level.initial_state, _FLOAT32, (level.initial_state.size,))
+        states = (time // interval, level.states.size // (time // interval))
+        _check_column(f"{name}.states", level.states, _FLOAT32, states)
 
 
 def check_finite(chunk: Chunk) -> None:
@@ -121,7 +139,7 @@ def check_finite(chunk: Chunk) -> None:
     for name, level in chunk.levels.items():
         columns[f"{name}.actions"] = level.actions
         columns[f"{name}.rewards"] = level.rewards
-        columns[f"{name}.initial_state"] = level.initial_state
+        columns[f"{name}.states"] = level.states
     # All at once: the calls cost more than the numbers.
     if np.isfinite(np.concatenate([column.ravel() for column in columns.values()])).all():
         return

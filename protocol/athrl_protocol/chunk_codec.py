@@ -6,7 +6,7 @@ is decompressed before the size that the message announces has been checked.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,21 +44,36 @@ def encode_chunk(chunk: Chunk, compression: Compression = "zstd") -> bytes:
         InvalidMessage: the chunk itself is not valid, see `check_chunk`.
     """
     check_chunk(chunk)
-    return encode_checked(chunk, compression)
+    return encode_checked(chunk, Identity.of(chunk), compression)
 
 
-def encode_checked(chunk: Chunk, compression: Compression) -> bytes:
-    """Return a chunk that `check_chunk` has been happy with as a message."""
+class Identity(NamedTuple):
+    """What an uploader makes of a chunk's own identity."""
+
+    actor: str
+    incarnation: int
+    sequence: int
+    oldest_held: int = 0
+
+    @classmethod
+    def of(cls, chunk: Chunk) -> Identity:
+        """The chunk's own."""
+        return cls(chunk.actor, chunk.incarnation, chunk.sequence, chunk.oldest_held)
+
+
+def encode_checked(chunk: Chunk, identity: Identity, compression: Compression) -> bytes:
+    """Return a chunk that `check_chunk` has been happy with as a message, under another identity."""
     _, height, width, channels = chunk.images.shape
     message = athrl_pb2.Chunk(
-        actor=chunk.actor,
-        incarnation=chunk.incarnation,
-        sequence=chunk.sequence,
+        actor=identity.actor,
+        incarnation=identity.incarnation,
+        sequence=identity.sequence,
         environment=chunk.environment,
         episode_seed=chunk.episode_seed,
         first_step=chunk.first_step,
         time=chunk.time,
         length=chunk.length,
+        state_interval=chunk.state_interval,
         image_height=height,
         image_width=width,
         image_channels=channels,
@@ -68,7 +83,7 @@ def encode_checked(chunk: Chunk, compression: Compression) -> bytes:
         policy_version=chunk.policy_version.astype(_INT64, copy=False).tobytes(),
         terminated=chunk.terminated,
         truncated=chunk.truncated,
-        oldest_held=chunk.oldest_held,
+        oldest_held=identity.oldest_held,
     )
     for name, level in chunk.levels.items():
         message.levels.add(
@@ -76,7 +91,7 @@ def encode_checked(chunk: Chunk, compression: Compression) -> bytes:
             action_size=level.actions.shape[1],
             actions=level.actions.astype(_FLOAT32, copy=False).tobytes(),
             rewards=level.rewards.astype(_FLOAT32, copy=False).tobytes(),
-            initial_state=level.initial_state.astype(_FLOAT32, copy=False).tobytes(),
+            states=level.states.astype(_FLOAT32, copy=False).tobytes(),
         )
     images = pack_images(chunk.images, compression)
     return b"".join((encode_message(message), _IMAGES_TAG, _varint(len(images)), images))
@@ -113,6 +128,10 @@ def decode_chunk(payload: bytes) -> Chunk:
         raise InvalidMessage(
             "shape", f"chunk: time {message.time} with {len(message.levels)} levels is out of bounds"
         )
+    if not 1 <= message.state_interval <= message.time:
+        raise InvalidMessage(
+            "shape", f"chunk: state_interval is {message.state_interval}, should divide time = {message.time}"
+        )
     chunk = Chunk(
         actor=message.actor,
         incarnation=message.incarnation,
@@ -121,6 +140,7 @@ def decode_chunk(payload: bytes) -> Chunk:
         episode_seed=message.episode_seed,
         first_step=message.first_step,
         length=message.length,
+        state_interval=message.state_interval,
         images=_images(message),
         motion=_column("motion", message.motion, _FLOAT32, (message.time + 1, message.motion_size)),
         levels=_levels(message),
@@ -135,14 +155,15 @@ def decode_chunk(payload: bytes) -> Chunk:
 
 def _levels(message: athrl_pb2.Chunk) -> dict[str, LevelColumns]:
     levels: dict[str, LevelColumns] = {}
+    sequences = message.time // message.state_interval
     for level in message.levels:
         if level.name in levels:
             raise InvalidMessage("shape", f"chunk: level {level.name!r} comes twice")
-        states = len(level.initial_state) // _FLOAT32.itemsize
+        size = len(level.states) // (sequences * _FLOAT32.itemsize)
         levels[level.name] = LevelColumns(
             actions=_column("actions", level.actions, _FLOAT32, (message.time, level.action_size)),
             rewards=_column("rewards", level.rewards, _FLOAT32, (message.time,)),
-            initial_state=_column("initial_state", level.initial_state, _FLOAT32, (states,)),
+            states=_column("states", level.states, _FLOAT32, (sequences, size)),
         )
     return levels
 

@@ -30,8 +30,9 @@ LARGEST_QUESTION = 4 * KIBIBYTE
 
 def largest_chunk_of(run_file: RunFile) -> int:
     """Return bytes that no chunk of a run exceeds, with some to spare."""
-    pixels = (run_file.replay.sequence_length + 1) * run_file.environment.image_size**2
-    states = 4 * 2 * run_file.planner.recurrent_features * MAXIMUM_LEVELS
+    sequences = run_file.longest_chunk // run_file.replay.sequence_length
+    pixels = (run_file.longest_chunk + 1) * run_file.environment.image_size**2
+    states = 4 * 2 * run_file.planner.recurrent_features * MAXIMUM_LEVELS * sequences
     return min(LARGEST_CHUNK, pixels * MOST_CHANNELS + states + 256 * KIBIBYTE)
 
 

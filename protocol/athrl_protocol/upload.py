@@ -13,7 +13,6 @@ for them. They are encoded by the thread that sends them.
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import math
 import threading
@@ -28,7 +27,7 @@ import zenoh
 from athrl_protocol import athrl_pb2
 from athrl_protocol.background import Background
 from athrl_protocol.chunk import Chunk, check_chunk
-from athrl_protocol.chunk_codec import OLDEST_HELD_BYTES, encode_checked, with_oldest_held
+from athrl_protocol.chunk_codec import OLDEST_HELD_BYTES, Identity, encode_checked, with_oldest_held
 from athrl_protocol.closing import Closing
 from athrl_protocol.delivery import MOST_BYTES, MOST_CHUNKS, joined
 from athrl_protocol.errors import InvalidMessage
@@ -276,10 +275,8 @@ class ChunkUploader(Closing):
                 if not self._raw:
                     return
                 sequence, chunk = self._raw.popleft()
-            numbered = dataclasses.replace(
-                chunk, actor=self._actor, incarnation=self._incarnation, sequence=sequence, oldest_held=0
-            )
-            encoded = encode_checked(numbered, self._compression)
+            identity = Identity(self._actor, self._incarnation, sequence)
+            encoded = encode_checked(chunk, identity, self._compression)
             with self._changed:
                 self._window.put(sequence, encoded)
 

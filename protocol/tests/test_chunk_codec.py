@@ -33,7 +33,8 @@ _quick = settings(max_examples=40, deadline=None)
 
 @some.composite
 def chunks(draw: some.DrawFn) -> Chunk:
-    time = draw(some.integers(1, 12))
+    interval, sequences = draw(some.integers(1, 6)), draw(some.integers(1, 3))
+    time = interval * sequences
     height, width, channels, motion = (draw(some.integers(1, 6)) for _ in range(4))
 
     def floats(*shape: int) -> np.ndarray:
@@ -44,7 +45,9 @@ def chunks(draw: some.DrawFn) -> Chunk:
     )
     levels = {
         name: LevelColumns(
-            floats(time, draw(some.integers(1, 3))), floats(time), floats(draw(some.integers(0, 5)))
+            floats(time, draw(some.integers(1, 3))),
+            floats(time),
+            floats(sequences, draw(some.integers(0, 5))),
         )
         for name in names
     }
@@ -55,7 +58,8 @@ def chunks(draw: some.DrawFn) -> Chunk:
         environment=draw(some.integers(0, 2**32 - 1)),
         episode_seed=draw(some.integers(0, 2**64 - 1)),
         first_step=draw(some.integers(0, 2**32 - 1)),
-        length=draw(some.integers(1, time)),
+        length=draw(some.integers(time - interval + 1, time)),
+        state_interval=interval,
         images=draw(arrays.arrays(np.uint8, (time + 1, height, width, channels))),
         motion=floats(time + 1, motion),
         levels=levels,
@@ -124,7 +128,7 @@ def test_decoded_columns_are_read_only(make_chunk: Callable[..., Chunk]) -> None
     assert not any(column.flags.writeable for column in columns)
 
 
-@pytest.mark.parametrize("column", ["motion", "actions", "rewards", "initial_state"])
+@pytest.mark.parametrize("column", ["motion", "actions", "rewards", "states"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_number_that_is_not_finite_is_refused(
     make_chunk: Callable[..., Chunk], column: str, value: float

@@ -190,6 +190,7 @@ def _fitting(sender: str) -> athrl_pb2.Chunk:
         incarnation=1,
         time=time_,
         length=time_,
+        state_interval=time_,
         image_height=size,
         image_width=size,
         image_channels=4,
@@ -204,7 +205,7 @@ def _fitting(sender: str) -> athrl_pb2.Chunk:
             action_size=actions,
             actions=bytes(4 * actions * time_),
             rewards=bytes(4 * time_),
-            initial_state=bytes(4 * 64),
+            states=bytes(4 * 64),
         )
     encode_message(message)  # puts the schema in
     return message

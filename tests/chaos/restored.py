@@ -42,14 +42,15 @@ def replay_differences(run_folder: Path, settings: RunFile, log: Log) -> list[st
             f"after an orderly end {restored.recovered} chunks came after the last checkpoint, "
             f"{restored.damaged} are damaged"
         )
-    newest = log.messages[-store.replay.slots :]
-    expected = [_digest(store.reader.sequence(decode_chunk(message))) for message in newest]
+    slots = store.replay.slots
+    newest = [decode_chunk(message) for message in log.messages[-slots:]]
+    expected = [_digest(sequence) for chunk in newest for sequence in store.reader.sequences(chunk)][-slots:]
     there = [_digest(sequence) for sequence in _sequences(store.replay)]
     if there != expected:
         wrong = sum(one != other for one, other in zip(there, expected, strict=False))
         differences.append(
             f"the restored replay holds {len(there)} sequences, should hold the newest {len(expected)} "
-            f"chunks of the log; {wrong} differ"
+            f"of the log; {wrong} differ"
         )
     return differences
 

@@ -37,7 +37,7 @@ WAIT = 0.3
 def chunk(sequence: int) -> Chunk:
     """A chunk whose content nobody else's is."""
     columns = LevelColumns(
-        np.full((4, 1), sequence, np.float32), np.zeros(4, np.float32), np.zeros(2, np.float32)
+        np.full((4, 1), sequence, np.float32), np.zeros(4, np.float32), np.zeros((1, 2), np.float32)
     )
     return Chunk(
         actor="a",
@@ -47,6 +47,7 @@ def chunk(sequence: int) -> Chunk:
         episode_seed=sequence,
         first_step=0,
         length=4,
+        state_interval=4,
         images=np.zeros((5, 4, 4, 4), np.uint8),
         motion=np.zeros((5, 2), np.float32),
         levels={"intention": columns},

@@ -59,7 +59,7 @@ def fitting_chunk(random: np.random.Generator) -> Chunk:
         "intention": column(0, 2, 1),
         "trajectory": np.concatenate([column(0, 7.95, 1), column(-0.5, 0.5, 1)], axis=1),
     }
-    rewards, state = np.zeros(TIME, np.float32), np.zeros(16, np.float32)
+    rewards, states = np.zeros(TIME, np.float32), np.zeros((1, 16), np.float32)
     return Chunk(
         actor="unset",
         incarnation=0,
@@ -68,9 +68,10 @@ def fitting_chunk(random: np.random.Generator) -> Chunk:
         episode_seed=1,
         first_step=0,
         length=TIME,
+        state_interval=TIME,
         images=random.integers(0, 2, (TIME + 1, 32, 32, 4), dtype=np.uint8) * np.uint8(255),
         motion=random.uniform(-1, 1, (TIME + 1, 2)).astype(np.float32),
-        levels={name: LevelColumns(actions, rewards, state) for name, actions in levels.items()},
+        levels={name: LevelColumns(actions, rewards, states) for name, actions in levels.items()},
         policy_version=np.zeros(TIME, np.int64),
         terminated=False,
         truncated=False,

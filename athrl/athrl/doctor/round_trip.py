@@ -108,7 +108,9 @@ def count(folder: Path, acknowledged: int, stall: float) -> Outcome:
 
 def made_up_chunk(number: int) -> Chunk:
     """Return a small chunk that carries its number in its content."""
-    columns = LevelColumns(np.zeros((4, 2), np.float32), np.zeros(4, np.float32), np.zeros(8, np.float32))
+    columns = LevelColumns(
+        np.zeros((4, 2), np.float32), np.zeros(4, np.float32), np.zeros((1, 8), np.float32)
+    )
     return Chunk(
         actor=ACTOR,
         incarnation=0,
@@ -117,6 +119,7 @@ def made_up_chunk(number: int) -> Chunk:
         episode_seed=number,
         first_step=0,
         length=4,
+        state_interval=4,
         images=np.zeros((5, 8, 8, 4), np.uint8),
         motion=np.zeros((5, 2), np.float32),
         levels={"trajectory": columns},

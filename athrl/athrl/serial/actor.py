@@ -28,7 +28,12 @@ class SerialActor:
         """Make the environments; `stack` closes them."""
         settings = run_file.environment.model_dump()
         town = settings.pop("town")
-        self._batch = RepeatableBatch(town, environment_config(**settings), run_file.actor.environments)
+        self._batch = RepeatableBatch(
+            town,
+            environment_config(**settings),
+            run_file.actor.environments,
+            recorded=run_file.replay.sequence_length,
+        )
         stack.callback(self._batch.close)
         self._rollout = Rollout(
             self._batch,

@@ -17,8 +17,8 @@ from athrl_learner import CannotResume
 class RepeatableBatch(EnvironmentBatch):
     """A batch that knows the seed and the decisions of each environment's episode."""
 
-    def __init__(self, town: str, config: Mapping[str, Any], count: int) -> None:
-        super().__init__(town, config, count)
+    def __init__(self, town: str, config: Mapping[str, Any], count: int, recorded: int) -> None:
+        super().__init__(town, config, count, recorded)
         self._seeds: list[int | None] = [None] * count  # None: no episode has begun
         self._decisions: list[list[np.ndarray]] = [[] for _ in range(count)]
 

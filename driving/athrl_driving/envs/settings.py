@@ -216,8 +216,12 @@ def drive_settings(config: Mapping[str, Any]) -> DriveSettings:
     )
 
 
-def new_episodes(config: Mapping[str, Any], town: Town, environments: int, threads: int = 1) -> Episodes:
+def new_episodes(
+    config: Mapping[str, Any], town: Town, environments: int, threads: int = 1, recorded: int = 0
+) -> Episodes:
     """Room for the episodes of `environments` environments with these settings.
+
+    `recorded` decisions fit on the tape of each.
 
     Raises ValueError in one line for a place that the map does not have, or that has no room for
     the vehicles.
@@ -238,6 +242,7 @@ def new_episodes(config: Mapping[str, Any], town: Town, environments: int, threa
         vehicles=int(config["vehicles_count"]),
         image_size=int(config["image_size"]),
         traffic_near=config["traffic_near"],
+        recorded=recorded,
         threads=threads,
     )
 

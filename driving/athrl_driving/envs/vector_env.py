@@ -38,7 +38,8 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     least four environments, as fewer cost more than they bring: the attribute `threads` tells how many work.
     The results do not depend on it. `autoreset_mode` is gymnasium's: an
     episode that has ended begins anew at the next step (NEXT_STEP), within the same step (SAME_STEP), or when
-    `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED).
+    `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED). `recorded` decisions of
+    each environment fit on its tape, `episodes.state.tape`, which the driver rewinds.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         scenario: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
+        recorded: int = 0,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise DrivingError(
@@ -68,7 +70,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         }
         self.town = town_of(self.config)
         most = len(os.sched_getaffinity(0)) if threads is None else _whole_number("threads", threads)
-        self.episodes = new_episodes(self.config, self.town, num_envs, most)
+        self.episodes = new_episodes(self.config, self.town, num_envs, most, recorded)
         self.threads = len(self.episodes.chunks)
         self.single_observation_space = observation_space(self.config["image_size"])
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -12,6 +12,7 @@ from athrl_driving.episode.ego import HEADING, TARGET_SPEED, WAYPOINT_X, WAYPOIN
 from athrl_driving.episode.motion import note_motion
 from athrl_driving.episode.orders import BEGIN, DRIVE, LOOK, SEE, START, TAKE, TICK, Orders
 from athrl_driving.episode.state import DriveSettings, EpisodeState, Progress, Views
+from athrl_driving.episode.tape import record
 from athrl_driving.episode.tick import tick
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.metrics import environment_metrics
@@ -45,6 +46,7 @@ def drive(state: EpisodeState, orders: Orders, first: int, last: int) -> None:
             ego, image = progress.ego[e], progress.images[e]
             draw_surroundings(state.perception, views.traffic, views.route, ego, image, progress.lidar[e])
             note_motion(ego, progress.control[e], progress.motion[e])
+            record(state.tape, e, progress.decisions[e], progress.motion[e], progress.reward[e])
         if work & LOOK:
             advance(views.traffic, progress.ego[e], progress.path[e], 0.0)
 

@@ -37,7 +37,8 @@ class Episodes:
     What happens in an environment depends on its seed and its actions alone: not on the others, on how many
     there are or on the number of threads.
 
-    `traffic_near` (x, y, radius, m) is where vehicles may start, anywhere without it. `threads` is how many
+    `traffic_near` (x, y, radius, m) is where vehicles may start, anywhere without it. `recorded` is how many
+    decisions the tape of each environment has room for (`episode.tape`). `threads` is how many
     work at most, with `ROWS_PER_THREAD` environments each at least; how many do is `len(self.chunks)`.
     """
 
@@ -52,11 +53,18 @@ class Episodes:
         vehicles: int,
         image_size: int,
         traffic_near: tuple[float, float, float] | None = None,
+        recorded: int = 0,
         threads: int = 1,
     ) -> None:
         self.town = town
         self.state: EpisodeState = new_state(
-            town, settings, perception, environments, vehicles=vehicles, image_size=image_size
+            town,
+            settings,
+            perception,
+            environments,
+            vehicles=vehicles,
+            image_size=image_size,
+            recorded=recorded,
         )
         if traffic_near is not None:
             self.state = self.state._replace(traffic=places_near(self.state.traffic, *traffic_near))

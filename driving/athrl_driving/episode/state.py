@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.episode.ego import CONTROL_SIZE, EGO_SIZE
+from athrl_driving.episode.tape import Tape, new_tape
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.metrics import MetricsState, new_metrics
@@ -93,6 +94,7 @@ class EpisodeState(NamedTuple):
     metrics: MetricsState
     perception: Perception
     progress: Progress
+    tape: Tape
 
 
 class Views(NamedTuple):
@@ -111,15 +113,21 @@ def new_state(
     *,
     vehicles: int,
     image_size: int,
+    recorded: int = 0,
 ) -> EpisodeState:
-    """Make room for `environments` episodes with `vehicles` background vehicles each; none has begun."""
+    """Make room for `environments` episodes with `vehicles` background vehicles each; none has begun.
+
+    Their tapes have room for `recorded` decisions.
+    """
+    progress = _new_progress(environments, image_size, perception.ray_cosine.size)
     return EpisodeState(
         settings=settings,
         traffic=new_traffic(town, environments, vehicles),
         routes=new_routes(town.graph, environments),
         metrics=new_metrics(environments),
         perception=perception,
-        progress=_new_progress(environments, image_size, perception.ray_cosine.size),
+        progress=progress,
+        tape=new_tape(progress.images, recorded),
     )
 
 

@@ -19,6 +19,7 @@ from athrl_driving.policy.metadata import (
     PolicyMetadata,
     parse_metadata,
 )
+from athrl_driving.policy.recording import Recording
 from athrl_driving.policy.runner import OnnxPolicy, PolicyStep
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "OnnxPolicy",
     "PolicyMetadata",
     "PolicyStep",
+    "Recording",
     "environment_config",
     "parse_metadata",
 ]

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from athrl_driving.envs import TownRow, TownVectorEnv
+from athrl_driving.policy.recording import Recording
 
 
 def environment_config(
@@ -52,12 +53,20 @@ class EnvironmentBatch:
     """`count` environments of one town, with `images` uint8 [count, H, W, C] and `motion` float32 [count, m].
 
     `images` and `motion` change with every step. After one that ended an episode its rows hold the terminal
-    observation until `reset` is called. `town` is a town's name or the path of an OpenDRIVE file.
+    observation until `reset` is called. `town` is a town's name or the path of an OpenDRIVE file. `recording`
+    has room for `recorded` decisions of each environment.
     """
 
-    def __init__(self, town: str, config: Mapping[str, Any], count: int) -> None:
-        self._vector = TownVectorEnv(count, config=config, map=town, autoreset_mode=AutoresetMode.DISABLED)
+    def __init__(self, town: str, config: Mapping[str, Any], count: int, recorded: int = 0) -> None:
+        self._vector = TownVectorEnv(
+            count,
+            config=config,
+            map=town,
+            autoreset_mode=AutoresetMode.DISABLED,
+            recorded=recorded,
+        )
         self.images, self.motion = self._vector.images, self._vector.motion
+        self.recording = Recording(self._vector.episodes.state.tape, self.images.shape[1:])
         self.environments: list[TownRow] = [self._vector.row(row) for row in range(count)]
 
     def __len__(self) -> int:

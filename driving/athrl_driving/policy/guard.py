@@ -17,6 +17,7 @@ from athrl_driving.compilation import LONGEST_COMPILATION
 from athrl_driving.envs import TownRow
 from athrl_driving.errors import DrivingError
 from athrl_driving.policy.batch import BatchStep, EnvironmentBatch
+from athrl_driving.policy.recording import Recording
 
 FIRST_CALL_SECONDS = LONGEST_COMPILATION + 300.0
 """A process's first step may compile, and wait before that for another process which compiles the same."""
@@ -48,17 +49,21 @@ class EnvironmentStalled(EnvironmentFailure):
 class GuardedBatch:
     """An `EnvironmentBatch` that is made anew when it fails.
 
-    `images`, `motion` and `environments` are those of the present batch: take them anew after a failure.
+    `images`, `motion`, `recording` and `environments` are those of the present batch: take them anew after a
+    failure.
 
     Args:
         town: as for `EnvironmentBatch`, like `config` and `count`.
         config: of the environments.
         count: of environments.
         seconds: within which a step or a reset returns; longer where it is the first of its kind.
+        recorded: as for `EnvironmentBatch`.
     """
 
-    def __init__(self, town: str, config: Mapping[str, Any], count: int, *, seconds: float) -> None:
-        self._make = lambda: EnvironmentBatch(town, config, count)
+    def __init__(
+        self, town: str, config: Mapping[str, Any], count: int, *, seconds: float, recorded: int = 0
+    ) -> None:
+        self._make = lambda: EnvironmentBatch(town, config, count, recorded)
         self._count = count
         self._seconds = seconds
         self._worker = _Worker()
@@ -77,6 +82,11 @@ class GuardedBatch:
     def motion(self) -> np.ndarray:
         """float32 [count, m]; changes with every step."""
         return self._batch.motion
+
+    @property
+    def recording(self) -> Recording:
+        """What was seen and earned since each environment's tape was rewound."""
+        return self._batch.recording
 
     @property
     def environments(self) -> list[TownRow]:

@@ -6,6 +6,7 @@ from typing import Self
 
 from pydantic import ValidationError, model_validator
 
+from athrl_protocol.chunk import MAXIMUM_TIME
 from athrl_protocol.errors import RunFileError
 from athrl_protocol.run_file.sections import (
     ActorSection,
@@ -62,6 +63,12 @@ class RunFile(Section):
                 f"run.environment_steps = {self.run.environment_steps}, or nothing is trained"
             )
         return self
+
+    @property
+    def longest_chunk(self) -> int:
+        """Decisions in a chunk at most: whole sequences, as many as are wanted and a message may have."""
+        length = self.replay.sequence_length
+        return length * min(self.actor.sequences_per_chunk, MAXIMUM_TIME // length)
 
     def to_json(self) -> str:
         """Return all settings as JSON."""

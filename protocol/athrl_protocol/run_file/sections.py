@@ -147,10 +147,13 @@ class ReplaySection(Section):
 
     capacity: int = Field(default=100_000, ge=100, description="Transitions that the replay buffer holds.")
     sequence_length: int = Field(
-        default=10, ge=2, le=256, description="Decisions in a chunk, the unit of replay."
+        default=10, ge=2, le=256, description="Decisions in a sequence, the unit of replay."
     )
     burn_in: int = Field(
-        default=2, ge=0, le=128, description="First decisions of a chunk that only warm the recurrent states."
+        default=2,
+        ge=0,
+        le=128,
+        description="First decisions of a sequence that only warm the recurrent states.",
     )
 
 
@@ -215,6 +218,12 @@ class ActorSection(Section):
         default=64,
         ge=1,
         description="Chunks kept while the learner is away; when it is full the actor waits.",
+    )
+    sequences_per_chunk: int = Field(
+        default=8,
+        ge=1,
+        le=128,
+        description="Most sequences in a chunk, which go together; after a second it goes with fewer.",
     )
     policy_lag_versions: int = Field(
         default=30,

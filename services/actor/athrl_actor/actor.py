@@ -77,6 +77,7 @@ class Actor:
             actor=name,
             incarnation=incarnation,
             sequence_length=run_file.replay.sequence_length,
+            sequences=run_file.longest_chunk // run_file.replay.sequence_length,
         )
         self._policies = stack.enter_context(PolicySubscriber(session, run))
         self._states = stack.enter_context(StateSubscriber(session, run))
@@ -218,4 +219,10 @@ class Actor:
 def _make_batch(run_file: RunFile) -> GuardedBatch:
     settings, actor = run_file.environment.model_dump(), run_file.actor
     town = settings.pop("town")
-    return GuardedBatch(town, environment_config(**settings), actor.environments, seconds=actor.stall_seconds)
+    return GuardedBatch(
+        town,
+        environment_config(**settings),
+        actor.environments,
+        seconds=actor.stall_seconds,
+        recorded=run_file.longest_chunk,
+    )

@@ -1,30 +1,49 @@
-"""Cut the episodes of a batch of environments into chunks of a fixed length, all environments at once."""
+"""Cut the episodes of a batch of environments into chunks, all environments at once.
+
+Images, motion and rewards are where the simulation has recorded them; what the policy decided is kept here. A
+decision costs a few calls for all environments together, everything else is done once a chunk: an actor's
+time is for driving.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
+from athrl_driving.policy import Recording
 from athrl_protocol import Chunk, LevelColumns
 
 Arrays = Mapping[str, np.ndarray]
 
+LONGEST_SECONDS = 1.0
+"""A chunk that is older goes with the sequences that it has: nobody waits for more of a slow actor."""
+
+
+class Recorded(Protocol):
+    """Environments whose last decisions are recorded."""
+
+    @property
+    def recording(self) -> Recording:
+        """The present one; another one where all episodes have begun anew."""
+
 
 class ChunkCutter:
-    """Collects what happens; an environment's chunk is full after `time` decisions or at its episode's end.
+    """Collects what happens; an environment's chunk ends with its episode, or when it is full or old.
 
-    The columns of the open chunks are arrays over all environments, written where each one is. Row `length`
-    of the observations is always the present one: the next decision's, or what the last one led to.
+    All environments decide together, so a decision has the same place in the columns for all of them.
 
     Args:
         actor: name of the actor.
         incarnation: of its process.
-        time: decisions in a chunk.
-        image_shape: height, width, channels.
-        motion_size: numbers beside the image.
+        batch: the environments, which record `sequence_length * sequences` decisions.
+        environments: how many there are.
+        sequence_length: decisions in a sequence; the recurrent states before each are in the chunk.
+        sequences: of which a chunk has so many at most.
         levels: action size and state size of each level, by name from the highest down.
-        environments: how many.
+        clock: seconds, for `LONGEST_SECONDS`.
     """
 
     def __init__(
@@ -32,98 +51,97 @@ class ChunkCutter:
         actor: str,
         incarnation: int,
         *,
-        time: int,
-        image_shape: tuple[int, ...],
-        motion_size: int,
-        levels: Mapping[str, tuple[int, int]],
+        batch: Recorded,
         environments: int,
+        sequence_length: int,
+        sequences: int,
+        levels: Mapping[str, tuple[int, int]],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._actor = actor
-        self._incarnation = incarnation
-        self._time = time
-        self._rows = np.arange(environments)
-        self._length = np.zeros(environments, np.int64)
+        self._actor, self._incarnation = actor, incarnation
+        self._batch = batch
+        self._interval, self._longest = sequence_length, sequence_length * sequences
+        self._clock = clock
+        self._place = 0  # of the next decision in the columns
+        self._began = [0] * environments  # places of the open chunks' first decisions
+        self._opened_at = [clock()] * environments
+        self._phases: list[set[int]] = [set() for _ in range(sequence_length)]
+        """Environments by where a sequence of theirs ends and the next begins, modulo its length."""
+        self._phases[0].update(range(environments))
         self._episode_seeds = [0] * environments
         self._first_steps = [0] * environments
-        self._images = np.zeros((environments, time + 1, *image_shape), np.uint8)
-        self._motion = np.zeros((environments, time + 1, motion_size), np.float32)
-        self._policy_version = np.zeros((environments, time), np.int64)
-        self._rewards = {level: np.zeros((environments, time), np.float32) for level in levels}
+        # Twice as long as a chunk, so that they are seldom moved and a chunk's decisions lie together.
+        self._policy_version = np.zeros(2 * self._longest, np.int64)
         self._actions = {
-            level: np.zeros((environments, time, actions), np.float32)
+            level: np.zeros((2 * self._longest, environments, actions), np.float32)
             for level, (actions, _) in levels.items()
         }
-        self._initial_states = {
-            level: np.zeros((environments, state), np.float32) for level, (_, state) in levels.items()
+        self._states = {
+            level: np.zeros((environments, sequences, state), np.float32)
+            for level, (_, state) in levels.items()
         }
 
-    def begin(self, row: int, episode_seed: int, image: np.ndarray, motion: np.ndarray) -> None:
-        """Start an episode in one environment, which is seen as `image` [H, W, C] and `motion` [m].
+    def begin(self, row: int, episode_seed: int) -> None:
+        """Start an episode in one environment, which has been reset.
 
         What is left of the last one must have been taken by `add`, `flush` or `drop`.
         """
-        if self._length[row]:
+        if self._pending(row):
             raise RuntimeError("an episode begins while transitions of the last one are pending")
         self._episode_seeds[row], self._first_steps[row] = episode_seed, 0
-        self._images[row, 0], self._motion[row, 0] = image, motion
+        self._open(row)
 
     def add(
         self,
         *,
         states: Arrays,
         actions: Arrays,
-        rewards: Arrays,
         policy_version: int,
-        images: np.ndarray,
-        motion: np.ndarray,
-        terminated: np.ndarray,
-        truncated: np.ndarray,
+        ended: Mapping[int, bool],
     ) -> list[Chunk]:
-        """Take a decision of every environment; returns the chunks that it completes, with sequence 0.
+        """Take a decision of every environment, after it was made; the chunks it completes, with sequence 0.
 
         The arrays are copied.
 
         Args:
             states: of each level float32 [batch, s], the recurrent state before the decision.
             actions: of each level float32 [batch, n], physical units, noise included.
-            rewards: of each level float32 [batch].
             policy_version: that decided.
-            images: uint8 [batch, H, W, C], what the decision led to; terminal where the episode ended.
-            motion: float32 [batch, m], likewise.
-            terminated: bool [batch], the decision ended the episode.
-            truncated: bool [batch], it met the time limit.
+            ended: environments whose episode the decision ended; False if it only met the time limit.
         """
-        rows, at = self._rows, self._length
-        first = np.flatnonzero(at == 0)
-        if first.size:
-            for level, initial in self._initial_states.items():
-                initial[first] = states[level][first]
+        if self._place == len(self._policy_version):
+            self._move_to_the_front()
+        for row in self._at_a_seam():
+            number = self._pending(row) // self._interval
+            for level, column in self._states.items():
+                column[row, number] = states[level][row]
         for level, column in self._actions.items():
-            column[rows, at] = actions[level]
-            self._rewards[level][rows, at] = rewards[level]
-        self._policy_version[rows, at] = policy_version
-        at += 1
-        self._images[rows, at] = images
-        self._motion[rows, at] = motion
-        full = np.flatnonzero((at == self._time) | terminated | truncated)
-        return [self._take(row, bool(terminated[row]), bool(truncated[row])) for row in full.tolist()]
+            column[self._place] = actions[level]
+        self._policy_version[self._place] = policy_version
+        self._place += 1
+        complete = {*ended, *(row for row in self._at_a_seam() if self._is_full_or_old(row))}
+        return [self._take(row, ended.get(row)) for row in sorted(complete)]
 
     def flush(self) -> list[Chunk]:
-        """Return the transitions so far as padded chunks; the episodes may go on."""
-        return [self._take(row, False, False) for row in np.flatnonzero(self._length).tolist()]
+        """Return the transitions so far as chunks; the episodes may go on."""
+        return [self._take(row, None) for row in range(len(self._began)) if self._pending(row)]
 
     def drop(self, rows: Iterable[int]) -> int:
         """Forget the transitions of some environments since their last chunks; how many chunks that costs."""
         given_up = list(rows)
-        dropped = int(np.count_nonzero(self._length[given_up]))
-        self._length[given_up] = 0
+        dropped = sum(1 for row in given_up if self._pending(row))
+        for row in given_up:
+            self._open(row)
         return dropped
 
     def state(self) -> dict[str, Any]:
         """Where the episodes are, and the open chunks: what `load_state` goes on from."""
         return {
+            "place": self._place,
+            "began": list(self._began),
             "episode_seeds": list(self._episode_seeds),
             "first_steps": list(self._first_steps),
+            "recording": self._batch.recording.state(),
             "columns": {name: column.copy() for name, column in self._columns().items()},
         }
 
@@ -135,29 +153,61 @@ class ChunkCutter:
         """
         self._episode_seeds = [int(seed) for seed in state["episode_seeds"]]
         self._first_steps = [int(step) for step in state["first_steps"]]
+        self._batch.recording.load_state(state["recording"])
         for name, column in self._columns().items():
             column[:] = state["columns"][name]
+        for row, began in enumerate(state["began"]):
+            self._place = int(began)
+            self._open(row)
+        self._place = int(state["place"])
 
     def _columns(self) -> dict[str, np.ndarray]:
         """Every array by a name."""
-        columns: dict[str, np.ndarray] = {
-            "length": self._length,
-            "images": self._images,
-            "motion": self._motion,
+        return {
             "policy_version": self._policy_version,
+            **{f"actions/{level}": column for level, column in self._actions.items()},
+            **{f"states/{level}": column for level, column in self._states.items()},
         }
-        of_levels: dict[str, dict[str, np.ndarray]] = {
-            "actions": self._actions,
-            "rewards": self._rewards,
-            "initial_states": self._initial_states,
-        }
-        for kind, levels in of_levels.items():
-            columns |= {f"{kind}/{level}": column for level, column in levels.items()}
-        return columns
 
-    def _take(self, row: int, terminated: bool, truncated: bool) -> Chunk:
-        """Return one environment's open chunk, and open the next one with what is seen now."""
-        length = int(self._length[row])
+    def _pending(self, row: int) -> int:
+        """Decisions in the open chunk of an environment."""
+        return self._place - self._began[row]
+
+    def _open(self, row: int) -> None:
+        """Let an environment's chunk begin here and now."""
+        self._phases[self._began[row] % self._interval].discard(row)
+        self._phases[self._place % self._interval].add(row)
+        self._began[row] = self._place
+        self._opened_at[row] = self._clock()
+
+    def _at_a_seam(self) -> list[int]:
+        """Environments of which a sequence ends, or begins, here and now."""
+        return sorted(self._phases[self._place % self._interval])
+
+    def _is_full_or_old(self, row: int) -> bool:
+        full = self._pending(row) == self._longest
+        return full or self._clock() - self._opened_at[row] >= LONGEST_SECONDS
+
+    def _move_to_the_front(self) -> None:
+        """Make room behind the decisions of the open chunks."""
+        gone = self._longest
+        columns: tuple[np.ndarray, ...] = (self._policy_version, *self._actions.values())
+        for column in columns:
+            column[:gone] = column[gone:]
+        self._began = [began - gone for began in self._began]
+        self._place -= gone
+
+    def _take(self, row: int, terminated: bool | None) -> Chunk:
+        """Return one environment's open chunk, and open the next one with what is seen now.
+
+        `terminated` says of an episode that is over whether it truly ended.
+        """
+        length = self._pending(row)
+        sequences = math.ceil(length / self._interval)
+        steps = sequences * self._interval
+        places = slice(self._began[row], self._place)
+        recording = self._batch.recording
+        rewards = _padded(recording.rewards[row, 1 : length + 1], steps)
         chunk = Chunk(
             actor=self._actor,
             incarnation=self._incarnation,
@@ -166,28 +216,30 @@ class ChunkCutter:
             episode_seed=self._episode_seeds[row],
             first_step=self._first_steps[row],
             length=length,
-            images=_padded(self._images[row], length + 1),
-            motion=_padded(self._motion[row], length + 1),
+            state_interval=self._interval,
+            images=_padded(recording.images[row, : length + 1], steps + 1),
+            motion=_padded(recording.motion[row, : length + 1], steps + 1),
             levels={
                 level: LevelColumns(
-                    actions=_padded(actions[row], length),
-                    rewards=_padded(self._rewards[level][row], length),
-                    initial_state=self._initial_states[level][row].copy(),
+                    actions=_padded(actions[places, row], steps),
+                    rewards=rewards,  # both levels have the task's
+                    states=self._states[level][row, :sequences].copy(),
                 )
                 for level, actions in self._actions.items()
             },
-            policy_version=_padded(self._policy_version[row], length),
-            terminated=terminated,
-            truncated=truncated,
+            policy_version=_padded(self._policy_version[places], steps),
+            terminated=terminated is True,
+            truncated=terminated is False,
         )
+        recording.rewind(row, length)
         self._first_steps[row] += length
-        self._images[row, 0], self._motion[row, 0] = self._images[row, length], self._motion[row, length]
-        self._length[row] = 0
+        self._open(row)
         return chunk
 
 
-def _padded(column: np.ndarray, valid: int) -> np.ndarray:
-    """A copy of a column with zeros from row `valid` on."""
-    copy = column.copy()
-    copy[valid:] = 0
+def _padded(column: np.ndarray, rows: int) -> np.ndarray:
+    """A copy of a column with zeros behind it, `rows` in all."""
+    copy = np.empty((rows, *column.shape[1:]), column.dtype)
+    copy[: len(column)] = column
+    copy[len(column) :] = 0
     return copy

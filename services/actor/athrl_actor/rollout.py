@@ -48,11 +48,17 @@ class Rollout:
         actor: str,
         incarnation: int,
         sequence_length: int,
+        sequences: int = 1,
     ) -> None:
+        """Nothing is decided before a policy is adopted.
+
+        `batch` records `sequence_length * sequences` decisions, as many as a chunk has at most.
+        """
         self.statistics = DrivingStatistics()
         self._batch = batch
         self._seeds = seeds
-        self._actor, self._incarnation, self._sequence_length = actor, incarnation, sequence_length
+        self._actor, self._incarnation = actor, incarnation
+        self._sequence_length, self._sequences = sequence_length, sequences
         self._cutter: ChunkCutter | None = None
         self._to_begin = list(range(len(batch)))  # environments whose next episode has not begun
         self._episodes = [0] * len(batch)  # begun so far
@@ -101,9 +107,10 @@ class Rollout:
         self._count(outcome)
         if on_first_row is not None:
             on_first_row(self._moment(decided, outcome))
-        chunks = self._cut(decided, outcome, update.version)
+        ended = np.flatnonzero(outcome.terminated | outcome.truncated).tolist()
+        chunks = self._cut(decided, {row: bool(outcome.terminated[row]) for row in ended}, update.version)
         self._states = decided.states
-        for row in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
+        for row in ended:
             self.statistics.episode_ended(self._returns[row], bool(outcome.infos["collision"][row]))
             self._to_begin.append(row)
         return chunks
@@ -169,11 +176,11 @@ class Rollout:
         self._cutter = ChunkCutter(
             self._actor,
             self._incarnation,
-            time=self._sequence_length,
-            image_shape=shape,
-            motion_size=self._batch.motion.shape[1],
-            levels={level.name: (level.action_size, level.state_size) for level in policy.metadata.levels},
+            batch=self._batch,
             environments=len(self._batch),
+            sequence_length=self._sequence_length,
+            sequences=self._sequences,
+            levels={level.name: (level.action_size, level.state_size) for level in policy.metadata.levels},
         )
 
     def _begin_episode(self, row: int) -> None:
@@ -182,7 +189,7 @@ class Rollout:
         seed = self._seeds.episode(row, self._episodes[row])
         self._episodes[row] += 1  # before the reset: a seed with which it fails is not tried again
         self._batch.reset(row, seed)
-        self._cutter.begin(row, seed, self._batch.images[row], self._batch.motion[row])
+        self._cutter.begin(row, seed)
         self._noise.reset(row)
         for state in self._states.values():
             state[row] = 0
@@ -204,18 +211,14 @@ class Rollout:
             self._steps[row] += 1
             self.statistics.decided(speed)
 
-    def _cut(self, decided: PolicyStep, outcome: BatchStep, version: int) -> list[Chunk]:
-        """Gather the decision, with the states before it; both levels have the task's reward."""
+    def _cut(self, decided: PolicyStep, ended: Mapping[int, bool], version: int) -> list[Chunk]:
+        """Gather the decision, with the states before it."""
         assert self._cutter is not None
         return self._cutter.add(
             states=self._states,
             actions=decided.actions,
-            rewards=dict.fromkeys(decided.actions, outcome.rewards),
             policy_version=version,
-            images=self._batch.images,
-            motion=self._batch.motion,
-            terminated=outcome.terminated,
-            truncated=outcome.truncated,
+            ended=ended,
         )
 
     def _moment(self, decided: PolicyStep, outcome: BatchStep) -> Moment:

@@ -35,7 +35,7 @@ RUN_FILE = {
     "run": {"name": "test"},
     "environment": {"vehicles": 4, "episode_ticks": 36},
     "replay": {"sequence_length": 4},
-    "actor": {"environments": 2, "unacknowledged_chunks": 8},
+    "actor": {"environments": 2, "unacknowledged_chunks": 8, "sequences_per_chunk": 2},
 }
 
 NOISE = {"noise": "ornstein-uhlenbeck", "noise_scale": 0.2, "damping": 0.15}

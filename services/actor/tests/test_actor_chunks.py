@@ -1,10 +1,12 @@
-"""Chunks are pieces of one episode: nothing lost, nothing glued, states from before the first step."""
+"""Chunks are pieces of one episode: nothing lost, nothing glued, states from before each sequence."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-from athrl_actor.chunks import ChunkCutter
+from athrl_actor.chunks import LONGEST_SECONDS, ChunkCutter
+from athrl_driving.episode.tape import new_tape
+from athrl_driving.policy import Recording
 from athrl_protocol import Chunk, encode_chunk
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,14 +24,54 @@ def motion(episode: int, step: int) -> np.ndarray:
 LEVELS = {"intention": (1, 3), "trajectory": (2, 0)}
 
 
-def make_cutter(environments: int, time: int) -> ChunkCutter:
-    return ChunkCutter(
-        "actor", 7, time=time, image_shape=(2, 2, 4), motion_size=2, levels=LEVELS, environments=environments
-    )
+class Batch:
+    """Environments that are nothing but their recording, filled as the simulation fills it."""
+
+    def __init__(self, environments: int, decisions: int) -> None:
+        self._tape = new_tape(np.zeros((environments, 2, 2, 4), np.uint8), decisions)
+        self.recording = Recording(self._tape, (2, 2, 4))
+
+    def see(self, row: int, episode: int, step: int) -> None:
+        """Be where `step` decisions of an episode have led to; the last one earned minus its number."""
+        if step == 0:
+            self._tape.first[row] = 0
+        place = step - self._tape.first[row]
+        self.recording.images[row, place] = image(episode, step)
+        self.recording.motion[row, place] = motion(episode, step)
+        self.recording.rewards[row, place] = 1 - step
 
 
-def decision(where: list[tuple[int, int, str]]) -> dict[str, Any]:
-    """What a decision brings in environments, each (episode, step, how it ends)."""
+class Drive:
+    """A cutter with its environments, and a clock that stands still unless it is told."""
+
+    def __init__(self, environments: int, sequence_length: int, sequences: int = 1) -> None:
+        self.now = 0.0
+        self.batch = Batch(environments, sequence_length * sequences)
+        self.cutter = ChunkCutter(
+            "actor",
+            7,
+            batch=self.batch,
+            environments=environments,
+            sequence_length=sequence_length,
+            sequences=sequences,
+            levels=LEVELS,
+            clock=lambda: self.now,
+        )
+
+    def begin(self, row: int, episode: int) -> None:
+        self.batch.see(row, episode, 0)
+        self.cutter.begin(row, 1000 + episode)
+
+    def decide(self, *where: tuple[int, int, str], version: int = 0) -> list[Chunk]:
+        """Make a decision in all environments, of each (episode, step, how it ends)."""
+        for row, (episode, step, _) in enumerate(where):
+            self.batch.see(row, episode, step + 1)
+        ended = {row: how == "terminated" for row, (_, _, how) in enumerate(where) if how}
+        return self.cutter.add(**decision(where), policy_version=version, ended=ended)
+
+
+def decision(where: tuple[tuple[int, int, str], ...]) -> dict[str, Any]:
+    """States and actions of a decision in environments, each (episode, step, how it ends)."""
     numbers = np.array([(episode, step) for episode, step, _ in where], np.float32)
     episode, step = numbers[:, :1], numbers[:, 1:]
     return {
@@ -38,34 +80,34 @@ def decision(where: list[tuple[int, int, str]]) -> dict[str, Any]:
             "trajectory": np.zeros((len(where), 0), np.float32),
         },
         "actions": {"intention": step, "trajectory": np.concatenate([step, -step], axis=1)},
-        "rewards": {"intention": step[:, 0], "trajectory": -step[:, 0]},
-        "images": np.stack([image(episode, step + 1) for episode, step, _ in where]),
-        "motion": np.stack([motion(episode, step + 1) for episode, step, _ in where]),
-        "terminated": np.array([ends == "terminated" for _, _, ends in where]),
-        "truncated": np.array([ends == "truncated" for _, _, ends in where]),
     }
 
 
-def drive(lengths: list[int], time: int, ends: list[str]) -> list[tuple[int, Chunk]]:
-    """Chunks, with the number of their episode, of episodes of given lengths; the last one is cut off.
+Case = tuple[list[int], tuple[int, int], list[str]]
+"""Lengths of episodes, sequence length and most sequences of a chunk, how each episode ends."""
+
+
+def drive(case: Case) -> list[tuple[int, Chunk]]:
+    """Chunks, with the number of their episode, of the episodes one after the other; the last one is cut off.
 
     They are driven in environment 1; environment 0 begins its only episode with them and never ends it, so
     its chunks are full at other times.
     """
-    cutter = make_cutter(2, time)
+    lengths, sizes, ends = case
+    course = Drive(2, *sizes)
     chunks: list[tuple[int, Chunk]] = []
     beside: list[Chunk] = []
-    cutter.begin(0, 1, image(99, 0), motion(99, 0))
+    course.begin(0, 99)
     steps = 0
     for episode, (length, end) in enumerate(zip(lengths, ends, strict=True)):
-        cutter.begin(1, 1000 + episode, image(episode, 0), motion(episode, 0))
+        course.begin(1, episode)
         for step in range(length):
             here = (episode, step, end if step == length - 1 else "")
-            made = cutter.add(**decision([(99, steps, ""), here]), policy_version=10 * episode + step)
+            made = course.decide((99, steps, ""), here, version=10 * episode + step)
             steps += 1
             chunks += [(episode, chunk) for chunk in made if chunk.environment == 1]
             beside += [chunk for chunk in made if chunk.environment == 0]
-    rest = cutter.flush()
+    rest = course.cutter.flush()
     chunks += [(len(lengths) - 1, chunk) for chunk in rest if chunk.environment == 1]
     beside += [chunk for chunk in rest if chunk.environment == 0]
     check_beside(beside, steps)
@@ -81,29 +123,34 @@ def check_beside(chunks: list[Chunk], steps: int) -> None:
             np.testing.assert_array_equal(chunk.images[row], image(99, chunk.first_step + row))
 
 
-episodes = st.lists(st.integers(1, 23), min_size=1, max_size=4).flatmap(
+cases = st.lists(st.integers(1, 23), min_size=1, max_size=4).flatmap(
     lambda lengths: st.tuples(
         st.just(lengths),
-        st.integers(1, 10),
-        st.lists(
-            st.sampled_from(["terminated", "truncated"]), min_size=len(lengths) - 1, max_size=len(lengths) - 1
-        ),
-        st.sampled_from(["terminated", "truncated", ""]),
+        st.tuples(st.integers(1, 7), st.integers(1, 3)),
+        st.tuples(
+            *[st.sampled_from(["terminated", "truncated"])] * (len(lengths) - 1),
+            st.sampled_from(["terminated", "truncated", ""]),
+        ).map(list),
     )
 )
 
 
 @settings(max_examples=60, deadline=None)
-@given(episodes)
-def test_chunks_are_the_episodes_without_gap_seam_or_overlap(case: tuple):
-    lengths, time, ends, last_end = case
-    chunks = drive(lengths, time, [*ends, last_end])
+@given(cases)
+def test_chunks_are_the_episodes_without_gap_seam_or_overlap(case: Case):
+    lengths, (sequence_length, sequences), _ = case
+    chunks = drive(case)
     for episode, length in enumerate(lengths):
         own = [chunk for number, chunk in chunks if number == episode]
         assert sum(chunk.length for chunk in own) == length
+        assert all(chunk.length == sequence_length * sequences for chunk in own[:-1])
         step = 0
         for chunk in own:
-            assert (chunk.episode_seed, chunk.first_step, chunk.time) == (1000 + episode, step, time)
+            assert (chunk.episode_seed, chunk.first_step) == (1000 + episode, step)
+            assert (chunk.state_interval, chunk.sequences) == (
+                sequence_length,
+                -(-chunk.length // sequence_length),
+            )
             for row in range(chunk.length + 1):  # the observation after the last step included
                 np.testing.assert_array_equal(chunk.images[row], image(episode, step + row))
                 np.testing.assert_array_equal(chunk.motion[row], motion(episode, step + row))
@@ -114,83 +161,96 @@ def test_chunks_are_the_episodes_without_gap_seam_or_overlap(case: tuple):
 
 
 @settings(max_examples=60, deadline=None)
-@given(episodes)
-def test_states_are_those_before_the_first_step_and_padding_is_zero(case: tuple):
-    lengths, time, ends, last_end = case
-    for episode, chunk in drive(lengths, time, [*ends, last_end]):
+@given(cases)
+def test_states_are_those_before_each_sequence_and_padding_is_zero(case: Case):
+    for episode, chunk in drive(case):
         level, steps = chunk.levels["intention"], np.arange(chunk.first_step, chunk.first_step + chunk.length)
-        np.testing.assert_array_equal(level.initial_state, np.full(3, 100 * episode + chunk.first_step))
+        before = 100 * episode + steps[:: chunk.state_interval]
+        np.testing.assert_array_equal(level.states, np.repeat(before[:, None], 3, axis=1))
         np.testing.assert_array_equal(level.actions[: chunk.length, 0], steps)
-        np.testing.assert_array_equal(chunk.levels["trajectory"].rewards[: chunk.length], -steps)
+        for columns in chunk.levels.values():
+            np.testing.assert_array_equal(columns.rewards[: chunk.length], -steps)
+            assert not columns.actions[chunk.length :].any()
+            assert not columns.rewards[chunk.length :].any()
         assert not chunk.images[chunk.length + 1 :].any()
         assert not chunk.motion[chunk.length + 1 :].any()
         assert not chunk.policy_version[chunk.length :].any()
-        for columns in chunk.levels.values():
-            assert not columns.actions[chunk.length :].any()
-            assert not columns.rewards[chunk.length :].any()
+        encode_chunk(chunk)  # it is valid
 
 
 @settings(max_examples=60, deadline=None)
-@given(episodes)
-def test_only_the_last_chunk_of_an_episode_says_that_and_how_it_ended(case: tuple):
-    lengths, time, ends, last_end = case
-    chunks = drive(lengths, time, [*ends, last_end])
-    for episode, end in enumerate([*ends, last_end]):
+@given(cases)
+def test_only_the_last_chunk_of_an_episode_says_that_and_how_it_ended(case: Case):
+    chunks = drive(case)
+    for episode, end in enumerate(case[2]):
         own = [chunk for number, chunk in chunks if number == episode]
         assert not any(chunk.terminated or chunk.truncated for chunk in own[:-1])
         assert (own[-1].terminated, own[-1].truncated) == (end == "terminated", end == "truncated")
 
 
+def test_a_slow_actors_chunk_goes_with_the_sequences_that_it_has():
+    course = Drive(1, 2, sequences=5)
+    course.begin(0, 0)
+    lengths = []
+    for step in range(9):
+        course.now += 0.3 * LONGEST_SECONDS
+        lengths += [chunk.length for chunk in course.decide((0, step, ""))]
+    assert lengths == [4, 4]  # after four decisions it is old, and a sequence is complete
+
+
 def test_a_chunk_does_not_change_when_its_sources_or_its_cutter_do():
-    cutter = make_cutter(1, 2)
-    first = decision([(0, 0, "")])
-    seen = (image(0, 0), motion(0, 0))
-    cutter.begin(0, 1, *seen)
-    cutter.add(**first, policy_version=0)
-    for array in (*seen, first["images"], first["motion"], first["states"]["intention"]):
-        array[...] = 99
-    (chunk,) = cutter.flush()
-    for step in range(1, 3):
-        cutter.add(**decision([(9, step, "")]), policy_version=9)
+    course = Drive(1, 2)
+    course.begin(0, 0)
+    sources = decision(((0, 0, ""),))
+    course.batch.see(0, 0, 1)
+    course.cutter.add(**sources, policy_version=0, ended={})
+    sources["states"]["intention"][...] = sources["actions"]["intention"][...] = 99
+    (chunk,) = course.cutter.flush()
+    for step in range(1, 5):
+        course.decide((0, step, ""), version=9)
     np.testing.assert_array_equal(chunk.images, [image(0, 0), image(0, 1), np.zeros((2, 2, 4))])
     np.testing.assert_array_equal(chunk.motion, [motion(0, 0), motion(0, 1), [0, 0]])
-    np.testing.assert_array_equal(chunk.levels["intention"].initial_state, [0, 0, 0])
+    np.testing.assert_array_equal(chunk.levels["intention"].states, [[0, 0, 0]])
+    np.testing.assert_array_equal(chunk.levels["intention"].actions, [[0], [0]])
     assert chunk.policy_version.tolist() == [0, 0]
 
 
 def test_an_episode_cannot_begin_over_pending_transitions():
-    cutter = make_cutter(1, 3)
-    cutter.begin(0, 1, image(0, 0), motion(0, 0))
-    cutter.add(**decision([(0, 0, "")]), policy_version=0)
+    course = Drive(1, 3)
+    course.begin(0, 0)
+    course.decide((0, 0, ""))
     with pytest.raises(RuntimeError, match="pending"):
-        cutter.begin(0, 2, image(1, 0), motion(1, 0))
+        course.begin(0, 1)
 
 
 def test_what_is_dropped_is_in_no_chunk_and_counted_where_there_was_something():
-    cutter = make_cutter(2, 3)
+    course = Drive(2, 3)
     for row in range(2):
-        cutter.begin(row, row, image(row, 0), motion(row, 0))
-    assert cutter.drop([0, 1]) == 0
-    cutter.add(**decision([(0, 0, ""), (1, 0, "")]), policy_version=0)
-    assert cutter.drop([1]) == 1
-    cutter.begin(1, 2, image(2, 0), motion(2, 0))
-    chunks = cutter.add(**decision([(0, 1, "truncated"), (2, 0, "terminated")]), policy_version=0)
-    assert [(chunk.episode_seed, chunk.length) for chunk in chunks] == [(0, 2), (2, 1)]
+        course.begin(row, row)
+    assert course.cutter.drop([0, 1]) == 0
+    course.decide((0, 0, ""), (1, 0, ""))
+    assert course.cutter.drop([1]) == 1
+    course.begin(1, 2)
+    chunks = course.decide((0, 1, "truncated"), (2, 0, "terminated"))
+    assert [(chunk.episode_seed, chunk.length) for chunk in chunks] == [(1000, 2), (1002, 1)]
     np.testing.assert_array_equal(chunks[1].images[:2], [image(2, 0), image(2, 1)])
 
 
-def test_cutter_goes_on_from_its_state_in_the_middle_of_episodes():
-    first, second = make_cutter(2, 4), make_cutter(2, 4)
+@pytest.mark.parametrize("sequences", [1, 2])
+def test_cutter_goes_on_from_its_state_in_the_middle_of_episodes(sequences: int):
+    first, second = Drive(2, 4, sequences), Drive(2, 4, sequences)
     for row in range(2):
-        first.begin(row, 70 + row, image(row, 0), motion(row, 0))
+        first.begin(row, row)
     for step in range(6):
-        first.add(**decision([(0, step, ""), (1, step, "")]), policy_version=step)
-    second.load_state(first.state())
+        first.decide((0, step, ""), (1, step, ""), version=step)
+    second.cutter.load_state(first.cutter.state())
     made = [
-        cutter.add(**decision([(0, 6, "terminated"), (1, 6, "")]), policy_version=6) + cutter.flush()
-        for cutter in (first, second)
+        course.decide((0, 6, "terminated"), (1, 6, ""), version=6) + course.cutter.flush()
+        for course in (first, second)
     ]
     for one, other in zip(*made, strict=True):
         assert encode_chunk(one) == encode_chunk(other)
-    assert [(chunk.first_step, chunk.length) for chunk in made[1]] == [(4, 3), (4, 3)]
-    np.testing.assert_array_equal(made[1][0].images[:4], [image(0, step) for step in range(4, 8)])
+    begun = 4 if sequences == 1 else 0
+    assert [(chunk.first_step, chunk.length) for chunk in made[1]] == [(begun, 7 - begun)] * 2
+    seen = [image(0, step) for step in range(begun, 8)]
+    np.testing.assert_array_equal(made[1][0].images[: len(seen)], seen)

@@ -1,4 +1,4 @@
-"""From a chunk off the wire to a sequence for the replay: everything an actor claims is checked here.
+"""From a chunk off the wire to sequences for the replay: everything an actor claims is checked here.
 
 The protocol has made sure that a chunk is well formed: types, columns of equal length, finite numbers.
 Whether it fits *this* run (sizes, levels, ranges) only the learner knows, and a replay trusts its content
@@ -33,14 +33,21 @@ class ChunkReader:
     """Turns chunks into sequences, and refuses those that do not fit the run."""
 
     def __init__(
-        self, observation: ObservationSettings, sequence_length: int, levels: Mapping[str, ExpectedLevel]
+        self,
+        observation: ObservationSettings,
+        sequence_length: int,
+        longest_chunk: int,
+        levels: Mapping[str, ExpectedLevel],
     ) -> None:
         self._observation = observation
-        self._time = sequence_length
+        self._length = sequence_length
+        self._longest = longest_chunk
         self._levels = dict(levels)
 
-    def sequence(self, chunk: Chunk) -> Sequence:
-        """The chunk as a sequence; its arrays are the chunk's.
+    def sequences(self, chunk: Chunk) -> list[Sequence]:
+        """The chunk as sequences, oldest first; their arrays are the chunk's.
+
+        Where one ends and the next begins the image between them belongs to both.
 
         Raises:
             InvalidMessage: a size, a level or a value is not the run's; names it, what it was and should be.
@@ -48,30 +55,41 @@ class ChunkReader:
         self._check_sizes(chunk)
         _check_motion(chunk.motion)
         for name, expected in self._levels.items():
-            _check_level(name, chunk.levels[name], expected, self._time, chunk.length)
+            _check_level(name, chunk.levels[name], expected, chunk)
+        return [self._sequence(chunk, number) for number in range(chunk.sequences)]
+
+    def _sequence(self, chunk: Chunk, number: int) -> Sequence:
+        """The chunk's sequence `number`."""
+        first, last = number * self._length, (number + 1) * self._length
         return Sequence(
-            images=chunk.images,
-            motion=chunk.motion,
-            actions={name: chunk.levels[name].actions for name in self._levels},
-            rewards={name: chunk.levels[name].rewards for name in self._levels},
-            initial_state={name: chunk.levels[name].initial_state for name in self._levels},
-            length=chunk.length,
-            terminated=chunk.terminated,
+            images=chunk.images[first : last + 1],
+            motion=chunk.motion[first : last + 1],
+            actions={name: chunk.levels[name].actions[first:last] for name in self._levels},
+            rewards={name: chunk.levels[name].rewards[first:last] for name in self._levels},
+            initial_state={name: chunk.levels[name].states[number] for name in self._levels},
+            length=min(self._length, chunk.length - first),
+            terminated=chunk.terminated and last == chunk.time,
         )
 
     def _check_sizes(self, chunk: Chunk) -> None:
-        _check_shape("images", chunk.images, (self._time + 1, *self._observation.image_shape))
-        _check_shape("motion", chunk.motion, (self._time + 1, self._observation.motion_size))
+        if chunk.state_interval != self._length:
+            raise InvalidMessage(
+                "shape", f"state_interval is {chunk.state_interval}; it should be {self._length}"
+            )
+        if chunk.time > self._longest:
+            raise InvalidMessage("shape", f"time is {chunk.time}; it should be at most {self._longest}")
+        _check_shape("images", chunk.images, (chunk.time + 1, *self._observation.image_shape))
+        _check_shape("motion", chunk.motion, (chunk.time + 1, self._observation.motion_size))
         if set(chunk.levels) != set(self._levels):
             raise InvalidMessage(
                 "shape", f"levels are {sorted(chunk.levels)}; they should be {sorted(self._levels)}"
             )
 
 
-def _check_level(name: str, columns: LevelColumns, expected: ExpectedLevel, time: int, length: int) -> None:
-    _check_shape(f"{name}.actions", columns.actions, (time, len(expected.actions)))
-    _check_shape(f"{name}.initial_state", columns.initial_state, (expected.state_size,))
-    for column, action in zip(columns.actions[:length].T, expected.actions, strict=True):
+def _check_level(name: str, columns: LevelColumns, expected: ExpectedLevel, chunk: Chunk) -> None:
+    _check_shape(f"{name}.actions", columns.actions, (chunk.time, len(expected.actions)))
+    _check_shape(f"{name}.states", columns.states, (chunk.sequences, expected.state_size))
+    for column, action in zip(columns.actions[: chunk.length].T, expected.actions, strict=True):
         margin = _ROUNDING * action.half_range
         if not ((column >= action.low - margin) & (column <= action.high + margin)).all():
             raise InvalidMessage(
@@ -81,7 +99,7 @@ def _check_level(name: str, columns: LevelColumns, expected: ExpectedLevel, time
             )
     _check_size(f"{name}.rewards", columns.rewards)
     _check_size(f"{name}.actions", columns.actions)  # padding, too, goes through the networks
-    _check_size(f"{name}.initial_state", columns.initial_state)
+    _check_size(f"{name}.states", columns.states)
 
 
 def _check_motion(motion: np.ndarray) -> None:

@@ -51,7 +51,7 @@ class Recovery:
         self.damaged = 0
         self._store = store
         self._ledger = ledger
-        self._position = position or LogPosition(1, 0, 0, ())
+        self._position = position or LogPosition(1, 0, 0, 0, ())
         self._paths = numbered_segments(store.log.folder)
         first = self._position.segments[0].first if self._position.segments else self._position.next_record
         self._expected = first  # number of the next record, were none damaged
@@ -87,9 +87,14 @@ class Recovery:
         """The sequences that were in the replay, oldest first."""
         named = {facts.number: facts for facts in self._position.segments}
         for record in self._records(named, named):
-            if record.kind == Kind.CHUNK and record.number >= self._position.oldest:
+            if record.kind != Kind.CHUNK or record.number < self._position.oldest:
+                continue
+            sequences = self._sequences(self._chunk(record))
+            if record.number == self._position.oldest:
+                sequences = sequences[-self._position.oldest_left :]
+            for sequence in sequences:
                 self._store.remember(record.number)
-                yield self._sequence(self._chunk(record))
+                yield sequence
 
     def _go_on_behind_the_checkpoint(self) -> None:
         if self.damaged:
@@ -107,7 +112,7 @@ class Recovery:
             chunk = self._chunk(record)
             if isinstance(self._ledger.judge(chunk), Known):
                 return
-            self._store.take_again(self._sequence(chunk), record.number)
+            self._store.take_again(self._sequences(chunk), record.number)
             self._ledger.record(chunk)
             self.chunks += 1
         elif record.kind == Kind.REFUSAL:
@@ -123,9 +128,9 @@ class Recovery:
         except InvalidMessage as error:
             raise CannotResume(f"record {record.number} of {self._store.log.folder}: {error}") from None
 
-    def _sequence(self, chunk: Chunk) -> Sequence:
+    def _sequences(self, chunk: Chunk) -> list[Sequence]:
         try:
-            return self._store.reader.sequence(chunk)
+            return self._store.reader.sequences(chunk)
         except InvalidMessage as error:
             raise CannotResume(
                 f"the log does not fit the run's settings; was one overridden? {error}"

@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import takewhile
 
 from athrl_planners import Sequence, SequenceBatch, SequenceReplay
 from athrl_protocol import Chunk, IntakeBusy, IntakeFinished
@@ -46,7 +47,7 @@ class ExperienceStore:
         self.learner_waiting = WaitingTime()
         self.room = DiskRoom()
         self._arrivals = arrivals
-        self._numbers: deque[int] = deque(maxlen=replay.slots)  # records of the sequences in the replay
+        self._numbers: deque[int] = deque(maxlen=replay.slots)  # of each sequence in the replay: its record
         self._changed = threading.Condition()
 
     @property
@@ -71,7 +72,7 @@ class ExperienceStore:
             IntakeFinished: the run has all its environment steps.
             LogFailed: the disk refuses for good.
         """
-        sequence = self.reader.sequence(chunk)
+        sequences = self.reader.sequences(chunk)
         with self._changed:
             if self.complete:
                 raise IntakeFinished("the run has all its environment steps")
@@ -81,7 +82,7 @@ class ExperienceStore:
             number = self._write_down(Kind.CHUNK, message)
             self.actors_waiting.end()
             self._arrivals.arrived(chunk)
-            self._take(sequence, number)
+            self._take(sequences, number)
 
     def refuse(self, chunk: Chunk) -> None:
         """Write down that a chunk is settled though it was not taken in; raises as `accept` does."""
@@ -153,6 +154,7 @@ class ExperienceStore:
             self.log.next_segment,
             self.log.next_record,
             oldest,
+            sum(1 for _ in takewhile(lambda number: number == oldest, self._numbers)),
             tuple(facts for facts in segments if facts.first + facts.records > oldest),
         )
 
@@ -164,19 +166,20 @@ class ExperienceStore:
                 self.limiter.close()
 
     def remember(self, number: int) -> None:
-        """The sequence of record `number` was put back into the replay, as its newest."""
+        """A sequence of record `number` was put back into the replay, as its newest."""
         self._numbers.append(number)
 
-    def take_again(self, sequence: Sequence, number: int) -> None:
+    def take_again(self, sequences: list[Sequence], number: int) -> None:
         """Take in what record `number` of the log holds and no checkpoint does; it was accepted before."""
         with self._changed:
-            self._take(sequence, number)
+            self._take(sequences, number)
 
-    def _take(self, sequence: Sequence, number: int) -> None:
-        self.replay.insert(sequence)
-        self._numbers.append(number)
-        self.limiter.inserted(sequence.length)
-        self.environment_steps += sequence.length
+    def _take(self, sequences: list[Sequence], number: int) -> None:
+        for sequence in sequences:
+            self.replay.insert(sequence)
+            self._numbers.append(number)
+            self.limiter.inserted(sequence.length)
+            self.environment_steps += sequence.length
         if self.complete:
             self.limiter.close()
         self._changed.notify_all()

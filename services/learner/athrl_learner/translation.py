@@ -96,7 +96,7 @@ def make_reader(run_file: RunFile, agent: AtHRL) -> ChunkReader:
         name: ExpectedLevel(actions=agent.actions[name], state_size=state_size)
         for name, (_, state_size) in agent.level_sizes.items()
     }
-    return ChunkReader(agent.observation, run_file.replay.sequence_length, levels)
+    return ChunkReader(agent.observation, run_file.replay.sequence_length, run_file.longest_chunk, levels)
 
 
 def make_limiter(run_file: RunFile) -> SamplesPerInsert:
@@ -105,7 +105,7 @@ def make_limiter(run_file: RunFile) -> SamplesPerInsert:
         ratio=run_file.learner.samples_per_insert,
         tolerance=run_file.learner.samples_per_insert_tolerance,
         minimum_inserts=max(1, run_file.exploration.random_decisions),
-        largest_insert=run_file.replay.sequence_length,
+        largest_insert=run_file.longest_chunk,
         largest_sample=run_file.learner.batch * run_file.replay.sequence_length,
     )
 

@@ -73,12 +73,13 @@ def make_chunk() -> Callable[..., Chunk]:
     """Make a chunk that fits the small run, with random content; keywords replace its fields."""
     random = np.random.default_rng(0)
 
-    def make(**fields: object) -> Chunk:
-        length = int(fields.get("length", TIME))
+    def make(sequences: int = 1, **fields: object) -> Chunk:
+        time = sequences * TIME
+        length = int(fields.get("length", time))
         levels = {
-            "intention": random.uniform(0, 2, (TIME, 1)),
+            "intention": random.uniform(0, 2, (time, 1)),
             "trajectory": np.stack(
-                [random.uniform(0, 7.95, TIME), random.uniform(-0.52, 0.52, TIME)], axis=1
+                [random.uniform(0, 7.95, time), random.uniform(-0.52, 0.52, time)], axis=1
             ),
         }
         return Chunk(
@@ -90,17 +91,18 @@ def make_chunk() -> Callable[..., Chunk]:
                 "episode_seed": 7,
                 "first_step": 0,
                 "length": length,
-                "images": random.integers(0, 2, (TIME + 1, 32, 32, 4), dtype=np.uint8) * np.uint8(255),
-                "motion": random.uniform(-1, 1, (TIME + 1, 2)).astype(np.float32),
+                "state_interval": TIME,
+                "images": random.integers(0, 2, (time + 1, 32, 32, 4), dtype=np.uint8) * np.uint8(255),
+                "motion": random.uniform(-1, 1, (time + 1, 2)).astype(np.float32),
                 "levels": {
                     name: LevelColumns(
                         actions=actions.astype(np.float32),
-                        rewards=random.normal(size=TIME).astype(np.float32),
-                        initial_state=np.zeros(STATE, np.float32),
+                        rewards=random.normal(size=time).astype(np.float32),
+                        states=random.normal(size=(sequences, STATE)).astype(np.float32),
                     )
                     for name, actions in levels.items()
                 },
-                "policy_version": np.zeros(TIME, np.int64),
+                "policy_version": np.zeros(time, np.int64),
                 "terminated": False,
                 "truncated": False,
                 **fields,

@@ -26,7 +26,7 @@ def content(number: int = 0) -> CheckpointContent:
     return CheckpointContent(
         state={"number": number, "policy_version": 10 * number, "limiter": {"inserts": 3, "samples": 4}},
         agent={"updates": number, "levels": {"intention": {"weight": torch.full((3, 2), float(number))}}},
-        log=LogPosition(number + 2, 70, 50, (SegmentFacts(number + 1, 40, 30, 4321, "abcd"),)),
+        log=LogPosition(number + 2, 70, 50, 1, (SegmentFacts(number + 1, 40, 30, 4321, "abcd"),)),
     )
 
 
@@ -223,7 +223,7 @@ def test_a_checkpoint_frees_the_segments_that_none_needs(tmp_path):
     for number in range(1, 9):
         log.append(Kind.CHUNK, b"%d" % number)
         segments = tuple(log.seal()[-3:])  # the replay has room for three
-        position = LogPosition(log.next_segment, log.next_record, segments[0].first, segments)
+        position = LogPosition(log.next_segment, log.next_record, segments[0].first, 1, segments)
         checkpointer.write_now(dataclasses.replace(content(number), log=position))
     assert list(numbered_segments(log.folder)) == [5, 6, 7, 8]
 
@@ -243,7 +243,7 @@ for delay in sys.argv[2:]:
             number += 1
             weights = {"weight": torch.full((1000, 1000), float(number))}
             state = {"number": number, "policy_version": 0}
-            write_checkpoint(folder, CheckpointContent(state, weights, LogPosition(1, 0, 0, ())))
+            write_checkpoint(folder, CheckpointContent(state, weights, LogPosition(1, 0, 0, 0, ())))
             remove_unneeded(folder, 2, BestCheckpoint(folder))
     while not list(folder.glob("checkpoint-[0-9]*[0-9]")):
         time.sleep(0.01)

@@ -39,7 +39,8 @@ def test_update_changes_parameters_and_optimisers_and_a_sample_the_replay(run_fi
     replay = translation.make_replay(run_file, agent)
     reader = translation.make_reader(run_file, agent)
     for _ in range(4):
-        replay.insert(reader.sequence(make_chunk()))
+        (sequence,) = reader.sequences(make_chunk())
+        replay.insert(sequence)
 
     def all_three() -> list[str]:
         return [

@@ -11,7 +11,7 @@ from athrl_learner.run_folder import RunFolder
 from athrl_learner.segments import LogPosition
 
 DISTRIBUTED = CheckpointContent(
-    {"policy_version": 3, "environment_steps": 5}, {"weight": torch.zeros(1)}, LogPosition(1, 0, 0, ())
+    {"policy_version": 3, "environment_steps": 5}, {"weight": torch.zeros(1)}, LogPosition(1, 0, 0, 0, ())
 )
 SERIAL = dataclasses.replace(DISTRIBUTED, actor={"steps": [1]})
 

@@ -251,7 +251,7 @@ def facts(number: int) -> SegmentFacts:
 
 
 def position(first: int, last: int) -> LogPosition:
-    return LogPosition(last + 1, (last + 1) * 10, first * 10, tuple(map(facts, range(first, last + 1))))
+    return LogPosition(last + 1, (last + 1) * 10, first * 10, 1, tuple(map(facts, range(first, last + 1))))
 
 
 def test_segments_go_when_no_kept_checkpoint_needs_them(tmp_path):

@@ -108,6 +108,31 @@ def test_a_checkpoint_of_another_planner_is_refused_in_one_line(content, run_fil
 
 def test_a_limiter_never_comes_back_without_its_replay(content, run_file, tmp_path):
     read, agent, _ = content
-    emptied = dataclasses.replace(read, log=LogPosition(1, 0, 0, ()))
+    emptied = dataclasses.replace(read, log=LogPosition(1, 0, 0, 0, ()))
     with pytest.raises(CannotResume, match="its replay does not hold"):
         restore_snapshot(emptied, agent, restored_store(run_file, agent, tmp_path / "nothing"))
+
+
+@pytest.mark.parametrize("chunks", [7, 8, 9, 10])
+def test_a_chunk_that_has_half_left_the_replay_comes_back_by_half(run_file, make_chunk, experience, chunks):
+    replay = run_file.replay.model_copy(update={"capacity": 100})  # 20 sequences, chunks have three
+    learner = run_file.learner.model_copy(update={"samples_per_insert": 0.1})
+    small = run_file.model_copy(update={"replay": replay, "learner": learner})
+    agent = translation.make_agent(small)
+    store = make_experience(small, agent, Arrivals(), experience)
+    for sequence in range(chunks):
+        chunk = make_chunk(sequences=3, sequence=sequence)
+        store.accept(chunk, encode_chunk(chunk))
+    with (
+        open_session(listen=small.network.listen, timeout=10) as session,
+        ChunkIntake(session, "small", store) as intake,
+    ):
+        snapshot = take_snapshot(small, agent, store, intake, policy_version=0)
+    assert snapshot.log.oldest == (3 * chunks - 20) // 3
+    assert snapshot.log.oldest_left == 3 - (3 * chunks - 20) % 3
+    restored = restored_store(small, agent, experience.folder)
+    restore_snapshot(snapshot, agent, restored)
+    for name, column in store.replay.columns().items():
+        np.testing.assert_array_equal(restored.replay.columns()[name], column)
+    assert restored.environment_steps == store.environment_steps == 15 * chunks
+    np.testing.assert_array_equal(store.replay.sample(8).images, restored.replay.sample(8).images)

@@ -12,7 +12,7 @@ from typing import Any
 from athrl_learner.segments import LogPosition
 
 #: Raised when a checkpoint is laid out differently from before.
-FORMAT = 2
+FORMAT = 3
 MANIFEST = "manifest.json"
 STATE = "state.json"
 AGENT = "agent.pt"

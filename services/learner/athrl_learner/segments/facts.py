@@ -46,12 +46,14 @@ class LogPosition:
         next_segment: segments with this number and above came after the checkpoint.
         next_record: likewise of records.
         oldest: number of the record with the oldest sequence in the replay; `next_record` if it is empty.
+        oldest_left: how many of that record's sequences are in the replay: its last ones.
         segments: those that hold the records from `oldest` on, oldest first.
     """
 
     next_segment: int
     next_record: int
     oldest: int
+    oldest_left: int
     segments: tuple[SegmentFacts, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -65,6 +67,7 @@ class LogPosition:
             int(values["next_segment"]),
             int(values["next_record"]),
             int(values["oldest"]),
+            int(values["oldest_left"]),
             tuple(SegmentFacts(**facts) for facts in values["segments"]),
         )
 

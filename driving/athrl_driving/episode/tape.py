@@ -1,0 +1,62 @@
+"""A tape of each episode: what was seen and earned, decision by decision, for whoever makes experience of it.
+
+The kernel that draws an image puts it on the tape as well, while it is in the core's cache: to gather the
+images of a batch afterwards takes ten times as long.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from athrl_driving.compilation import part
+from athrl_driving.maps.lane_graph import Integers
+
+
+class Tape(NamedTuple):
+    """The tapes of E environments, each with room for N observations: one more than decisions, or none."""
+
+    seen: NDArray[np.uint8]
+    """[E, pixels] the images of the environments as they are: the same memory."""
+    images: NDArray[np.uint8]
+    """[E, N, pixels]"""
+    motion: NDArray[np.float32]
+    """[E, N, 2] that go with them."""
+    rewards: NDArray[np.float32]
+    """[E, N] of the decision that the observation in the same row led to."""
+    first: Integers
+    """[E] how many decisions of the episode came before the observation in row 0."""
+
+
+def new_tape(seen: NDArray[np.uint8], decisions: int) -> Tape:
+    """Empty tapes with room for so many decisions each; `seen` uint8 [E, S, S, 4] is what the kernel draws.
+
+    With 0 decisions nothing is recorded.
+    """
+    count, pixels = len(seen), seen[0].size
+    observations = decisions + 1 if decisions else 0
+    return Tape(
+        seen=seen.reshape(count, pixels),
+        images=np.zeros((count, observations, pixels), np.uint8),
+        motion=np.zeros((count, observations, 2), np.float32),
+        rewards=np.zeros((count, observations), np.float32),
+        first=np.zeros(count, np.int64),
+    )
+
+
+@part
+def record(tape: Tape, e: int, decisions: int, motion: NDArray[np.float32], reward: float) -> None:
+    """Put what is seen in environment `e` after so many decisions on its tape, if there is room."""
+    if decisions == 0:
+        tape.first[e] = 0
+    row = decisions - tape.first[e]
+    if row >= tape.images.shape[1]:
+        return
+    seen, image = tape.seen[e], tape.images[e, row]
+    for pixel in range(seen.shape[0]):
+        image[pixel] = seen[pixel]
+    for number in range(motion.shape[0]):
+        tape.motion[e, row, number] = motion[number]
+    tape.rewards[e, row] = reward

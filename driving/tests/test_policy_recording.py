@@ -1,0 +1,76 @@
+"""What a batch records is what its driver saw, decision by decision."""
+
+import numpy as np
+import pytest
+from athrl_driving.policy import EnvironmentBatch, GuardedBatch
+
+CONFIG = {"vehicles_count": 10, "episode_ticks": 40}
+ROOM = 4
+
+
+@pytest.fixture(params=[1, 8])
+def batch(request: pytest.FixtureRequest) -> EnvironmentBatch:
+    batch = EnvironmentBatch("town03", CONFIG, request.param, recorded=ROOM)
+    for row in range(len(batch)):
+        batch.reset(row, seed=row)
+    return batch
+
+
+def drive(batch: EnvironmentBatch, decisions: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is seen before and after each of so many decisions, [time + 1, batch, ...], and rewards."""
+    images, motion, rewards = [batch.images.copy()], [batch.motion.copy()], []
+    random = np.random.default_rng(0)
+    for _ in range(decisions):
+        rewards.append(batch.step(random.uniform(-1, 1, (len(batch), 2)).astype(np.float32)).rewards)
+        images.append(batch.images.copy())
+        motion.append(batch.motion.copy())
+    return np.stack(images), np.stack(motion), np.stack(rewards)
+
+
+def test_recording_holds_what_was_seen_and_earned(batch: EnvironmentBatch):
+    images, motion, rewards = drive(batch, ROOM)
+    for row in range(len(batch)):
+        np.testing.assert_array_equal(batch.recording.images[row], images[:, row])
+        np.testing.assert_array_equal(batch.recording.motion[row], motion[:, row])
+        np.testing.assert_array_equal(batch.recording.rewards[row, 1:], rewards[:, row])
+
+
+def test_what_is_taken_out_makes_room_and_the_next_begins_with_what_was_seen_last(batch: EnvironmentBatch):
+    for _ in range(3):
+        images, _, rewards = drive(batch, 2)
+        for row in range(len(batch)):
+            np.testing.assert_array_equal(batch.recording.images[row, :3], images[:, row])
+            np.testing.assert_array_equal(batch.recording.rewards[row, 1:3], rewards[:, row])
+            batch.recording.rewind(row, 2)
+
+
+def test_an_episode_is_recorded_from_its_beginning(batch: EnvironmentBatch):
+    drive(batch, 3)
+    batch.recording.rewind(0, 3)
+    drive(batch, 1)
+    last = len(batch) - 1
+    batch.reset(0, seed=77)
+    batch.reset(last, seed=78)
+    images, _, _ = drive(batch, 2)
+    for row in (0, last):
+        np.testing.assert_array_equal(batch.recording.images[row, :3], images[:, row])
+
+
+def test_what_finds_no_room_is_not_recorded_and_harms_nobody(batch: EnvironmentBatch):
+    images, _, _ = drive(batch, 3 * ROOM)
+    for row in range(len(batch)):
+        np.testing.assert_array_equal(batch.recording.images[row], images[: ROOM + 1, row])
+
+
+def test_guarded_batch_records_too_and_a_new_one_anew(monkeypatch: pytest.MonkeyPatch):
+    guarded = GuardedBatch("town03", CONFIG, 2, seconds=60, recorded=ROOM)
+    try:
+        before = guarded.recording
+        assert before.images.shape == (2, ROOM + 1, 32, 32, 4)
+        with monkeypatch.context() as patch:
+            patch.setattr(EnvironmentBatch, "step", lambda *_: 1 / 0)
+            with pytest.raises(Exception, match="ZeroDivisionError"):
+                guarded.step(np.zeros((2, 2), np.float32))
+        assert guarded.recording is not before
+    finally:
+        guarded.close()
