@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import zstandard
 from athrl_learner.experience import ChunkReader, ExpectedLevel
-from athrl_planners import ActionRange, ObservationSettings
+from athrl_planners import ActionRange, ObservationSettings, Sequence
 from athrl_protocol import (
     Chunk,
     Frame,
@@ -45,7 +45,9 @@ from athrl_protocol.schema import decode_message, encode_message
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
-TIME, SIZE = 10, 32
+LENGTH, SEQUENCES, SIZE = 10, 2, 32
+TIME = LENGTH * SEQUENCES
+LONGEST = 2 * TIME
 LARGEST = 1e5
 """Of anything that may go into the replay."""
 MEMORY = 512 * 2**20
@@ -73,7 +75,7 @@ def reader() -> ChunkReader:
     angle = ActionRange("angle", "rad", -1.0, 1.0, "gaussian", 0.1)
     speed = ActionRange("speed", "m/s", 0.0, 8.0, "gaussian", 0.1)
     levels = {"intention": ExpectedLevel((angle,), 8), "trajectory": ExpectedLevel((angle, speed), 8)}
-    return ChunkReader(observation(), TIME, levels)
+    return ChunkReader(observation(), LENGTH, LONGEST, levels)
 
 
 def example_chunk(generator: np.random.Generator) -> Chunk:
@@ -91,12 +93,12 @@ def example_chunk(generator: np.random.Generator) -> Chunk:
         episode_seed=2**40,
         first_step=8,
         length=TIME,
-        state_interval=TIME,
+        state_interval=LENGTH,
         images=generator.integers(0, 2, (TIME + 1, *settings.image_shape), dtype=np.uint8),
         motion=floats(TIME + 1, settings.motion_size),
         levels={
-            "intention": LevelColumns(floats(TIME, 1), floats(TIME), floats(1, 8)),
-            "trajectory": LevelColumns(floats(TIME, 2), floats(TIME), floats(1, 8)),
+            "intention": LevelColumns(floats(TIME, 1), floats(TIME), floats(SEQUENCES, 8)),
+            "trajectory": LevelColumns(floats(TIME, 2), floats(TIME), floats(SEQUENCES, 8)),
         },
         policy_version=np.arange(TIME, dtype=np.int64),
         terminated=False,
@@ -115,16 +117,23 @@ class ChunkReceiver:
         """Return what would go into the replay."""
         chunk = decode_chunk(payload)
         self._ledger.judge(chunk)
-        (sequence,) = self._reader.sequences(chunk)
-        assert sequence.images.dtype == np.uint8
-        assert sequence.images.shape == (TIME + 1, *observation().image_shape)
-        for columns in (sequence.actions, sequence.rewards, sequence.initial_state):
-            for column in columns.values():
-                assert column.dtype == np.float32
-                assert (np.abs(column) <= LARGEST).all()  # a number that is none is not
-        assert (np.abs(sequence.motion) <= LARGEST).all()
-        assert 1 <= sequence.length <= TIME
-        return sequence
+        sequences = self._reader.sequences(chunk)
+        assert 1 <= len(sequences) <= LONGEST // LENGTH
+        for sequence in sequences:
+            _doubt(sequence)
+        return sequences
+
+
+def _doubt(sequence: Sequence) -> None:
+    """Look whether it may go into the replay."""
+    assert sequence.images.dtype == np.uint8
+    assert sequence.images.shape == (LENGTH + 1, *observation().image_shape)
+    for columns in (sequence.actions, sequence.rewards, sequence.initial_state):
+        for column in columns.values():
+            assert column.dtype == np.float32
+            assert (np.abs(column) <= LARGEST).all()  # a number that is none is not
+    assert (np.abs(sequence.motion) <= LARGEST).all()
+    assert 1 <= sequence.length <= LENGTH
 
 
 def targets() -> list[Target]:
