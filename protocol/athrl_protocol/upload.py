@@ -2,10 +2,7 @@
 
 Every chunk is a query and is held until the learner has acknowledged it. Silence means that the link or
 the learner died: everything held is sent again from the oldest on, ten times a second until somebody
-answers. What is held is bounded, and when the bound is reached the actor waits: while nobody answers it is
-the capacity; while the learner says "busy" it is a few, so that an actor stops driving instead of piling up
-experience of an old policy; while the learner takes chunks in it is twice the credits it gives, so that some
-are ready to go while others are under way, and actor and learner work at the same time and not by turns.
+answers. What is held is bounded (`upload_pace`), and when the bound is reached the actor waits.
 
 Chunks wait for others for a moment and go together, several in a query (`delivery`), unless somebody waits
 for them. They are encoded by the thread that sends them.
@@ -29,12 +26,13 @@ from athrl_protocol.background import Background
 from athrl_protocol.chunk import Chunk, check_chunk
 from athrl_protocol.chunk_codec import OLDEST_HELD_BYTES, Identity, encode_checked, with_oldest_held
 from athrl_protocol.closing import Closing
-from athrl_protocol.delivery import MOST_BYTES, MOST_CHUNKS, joined
+from athrl_protocol.delivery import MOST_BYTES, joined
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.image_codec import Compression
 from athrl_protocol.keys import Keys
 from athrl_protocol.schema import decode_message
 from athrl_protocol.session import address_of, doubt_about_certificate, undeclare_quietly
+from athrl_protocol.upload_pace import Pace
 from athrl_protocol.upload_window import UploadStatistics, UploadWindow
 
 _log = logging.getLogger(__name__)
@@ -44,11 +42,8 @@ IDLE_SECONDS = 1.0
 SILENCE_PAUSE_SECONDS = 0.1
 # Without an answer over a standing connection until somebody is told; the first chunk may time out once.
 COMPLAINT_SECONDS = 10.0
-HELD_WHILE_BUSY = 8
 # For which a chunk waits for others to go with it.
 GATHER_SECONDS = 0.1
-SHORTEST_BUSY_PAUSE_SECONDS = 0.01
-LONGEST_BUSY_PAUSE_SECONDS = 0.05
 
 
 class _Outcome(Enum):
@@ -60,20 +55,9 @@ class _Outcome(Enum):
     SILENCE = auto()
 
 
-class _Learner(Enum):
-    """What the learner did last, which bounds what is held."""
-
-    SILENT = auto()
-    BUSY = auto()
-    TAKING = auto()
-
-
 class _UnderWay(NamedTuple):
     sequences: tuple[int, ...]  # of the chunks in the query
     replies: zenoh.handlers.Handler[zenoh.Reply]
-
-
-_SAID = {_Outcome.SILENCE: _Learner.SILENT, _Outcome.BUSY: _Learner.BUSY}
 
 
 class ChunkUploader(Closing):
@@ -100,7 +84,7 @@ class ChunkUploader(Closing):
         self._session = session
         self._actor = actor
         self._incarnation = incarnation
-        self._window = UploadWindow(capacity)
+        self._window = UploadWindow()
         self._changed = threading.Condition()
         self._background = Background("the upload", _log, wake=self._wake)
         self._compression: Compression = compression
@@ -108,10 +92,7 @@ class ChunkUploader(Closing):
         self._waiting = 0  # calls that wait for room, or for all to be settled
         self._due_at = math.inf  # when what is unsent has waited for long enough
         self._under_way: deque[_UnderWay] = deque()  # of the thread alone
-        self._credits = 1
-        self._probing = True  # one chunk at a time until one is taken
-        self._learner = _Learner.SILENT
-        self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
+        self._pace = Pace(capacity)
         self._silent_since: float | None = None  # over a standing connection
         self._finished = False
         self._closed = threading.Event()
@@ -193,12 +174,7 @@ class ChunkUploader(Closing):
 
     @property
     def _is_full(self) -> bool:
-        held = len(self._window)
-        if self._learner is _Learner.BUSY and held >= HELD_WHILE_BUSY:
-            return True
-        if self._learner is _Learner.TAKING and held >= 2 * self._credits:
-            return True
-        return self._window.is_full
+        return len(self._window) >= self._pace.most_held
 
     def _is_over(self) -> bool:
         return self._finished or self._closed.is_set() or self._background.failed
@@ -218,14 +194,9 @@ class ChunkUploader(Closing):
         """Whether to send what is unsent, or to wait for more that can go with it; within `_changed`."""
         if not self._window.has_unsent:
             return False
-        if self._probing or self._waiting or self._window.has_to_resend:
+        if self._pace.probing or self._waiting or self._window.has_to_resend:
             return True
-        return self._window.unsent >= self._most_together or time.monotonic() >= self._due_at
-
-    @property
-    def _most_together(self) -> int:
-        """How many chunks go in one query, so that another one can be under way."""
-        return 1 if self._probing else max(1, min(MOST_CHUNKS, self._credits // 2))
+        return self._window.unsent >= self._pace.most_together or time.monotonic() >= self._due_at
 
     def _wake(self) -> None:
         with self._changed:
@@ -254,12 +225,12 @@ class ChunkUploader(Closing):
     def _send_what_may_go(self) -> None:
         while True:
             under_way = sum(len(query.sequences) for query in self._under_way)
-            room = (1 if self._probing else self._credits) - under_way
+            room = self._pace.most_under_way - under_way
             with self._changed:
                 if room < 1 or not self._is_due():
                     return
             self._encode_what_came()
-            sequences, messages = self._taken(min(room, self._most_together))
+            sequences, messages = self._taken(min(room, self._pace.most_together))
             if not messages:
                 return
             content, attachment = joined(messages)
@@ -302,17 +273,15 @@ class ChunkUploader(Closing):
         """Wait for the answer to the oldest query and act on it."""
         outcome = self._outcome_of(oldest)
         self._complain_about_silence(outcome)
-        with self._changed:
-            self._learner = _SAID.get(outcome, _Learner.TAKING)
-            self._changed.notify_all()
-        if outcome is _Outcome.GO_ON:
-            self._probing = False
-            self._busy_pause = SHORTEST_BUSY_PAUSE_SECONDS
+        if outcome is not _Outcome.GO_ON:
+            # The later ones cannot have been stored before this one; their answers only confirm that.
+            while self._under_way:
+                self._outcome_of(self._under_way.popleft())
+            self._start_over(outcome)
             return
-        # The later ones cannot have been stored before this one; their answers only confirm that.
-        while self._under_way:
-            self._outcome_of(self._under_way.popleft())
-        self._start_over(outcome)
+        with self._changed:
+            self._pace.went_well()
+            self._changed.notify_all()
 
     def _complain_about_silence(self, outcome: _Outcome) -> None:
         """Say once if a learner that is there does not answer: it drops what it does not allow in silence."""
@@ -334,15 +303,22 @@ class ChunkUploader(Closing):
     def _start_over(self, outcome: _Outcome) -> None:
         """Begin again with what is held, after a pause that fits."""
         self._under_way.clear()
-        if outcome is not _Outcome.REWIND:
-            self._probing = True
-            with self._changed:
+        with self._changed:
+            pause = self._pause_after(outcome)
+            if outcome is not _Outcome.REWIND:
                 self._window.rewind()
+            self._changed.notify_all()
+        self._closed.wait(pause)
+
+    def _pause_after(self, outcome: _Outcome) -> float:
+        """Let the pace follow what happened; returns seconds to wait."""
+        if outcome is _Outcome.BUSY:
+            return self._pace.busy()
         if outcome is _Outcome.SILENCE:
-            self._closed.wait(SILENCE_PAUSE_SECONDS)
-        elif outcome is _Outcome.BUSY:
-            self._closed.wait(self._busy_pause)
-            self._busy_pause = min(2 * self._busy_pause, LONGEST_BUSY_PAUSE_SECONDS)
+            self._pace.silent()
+            return SILENCE_PAUSE_SECONDS
+        self._pace.rewound()
+        return 0.0
 
     def _outcome_of(self, query: _UnderWay) -> _Outcome:
         """Read the answer to a query, which comes, or fails, within ANSWER_SECONDS."""
@@ -359,10 +335,8 @@ class ChunkUploader(Closing):
 
     def _acknowledged(self, payload: bytes) -> _Outcome:
         message = decode_message(athrl_pb2.Acknowledgement, payload)
-        self._credits = max(1, message.credits)
         with self._changed:
-            self._learner = _Learner.TAKING
-            self._window.acknowledge(message.next_sequence)
+            self._pace.took(self._window.acknowledge(message.next_sequence), message.credits)
             self._changed.notify_all()
         return _Outcome.GO_ON
 

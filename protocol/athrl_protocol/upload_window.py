@@ -33,15 +33,12 @@ class UploadStatistics:
 
 
 class UploadWindow:
-    """Encoded chunks from the oldest that is not acknowledged to the newest, at most `capacity`.
+    """Encoded chunks from the oldest that is not acknowledged to the newest.
 
     A chunk has its place from `reserve` on, and can be taken once it is there.
     """
 
-    def __init__(self, capacity: int) -> None:
-        if capacity < 1:
-            raise ValueError(f"capacity is {capacity}, should be at least 1")
-        self._capacity = capacity
+    def __init__(self) -> None:
         self._held: dict[int, bytes | None] = {}  # by sequence, in order; None until it is there
         self._added = 0
         self._next = 0
@@ -52,11 +49,6 @@ class UploadWindow:
 
     def __len__(self) -> int:
         return len(self._held)
-
-    @property
-    def is_full(self) -> bool:
-        """Whether no further chunk fits."""
-        return len(self) >= self._capacity
 
     @property
     def is_empty(self) -> bool:
@@ -114,12 +106,14 @@ class UploadWindow:
         self._sent_up_to = max(self._sent_up_to, self._next)
         return sequence, next(iter(self._held)), encoded
 
-    def acknowledge(self, next_sequence: int) -> None:
-        """Drop all chunks below `next_sequence`; what was never sent stays."""
-        for sequence in [held for held in self._held if held < min(next_sequence, self._sent_up_to)]:
+    def acknowledge(self, next_sequence: int) -> int:
+        """Drop all chunks below `next_sequence` and return how many; what was never sent stays."""
+        settled = [held for held in self._held if held < min(next_sequence, self._sent_up_to)]
+        for sequence in settled:
             del self._held[sequence]
-            self._acknowledged += 1
+        self._acknowledged += len(settled)
         self._next = max(self._next, min(next_sequence, self._sent_up_to))
+        return len(settled)
 
     def rewind(self) -> None:
         """Begin again with the oldest held chunk."""

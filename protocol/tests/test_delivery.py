@@ -164,7 +164,7 @@ def test_gap_is_asked_for_again_and_every_chunk_is_stored_once_in_order(
     eventually: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("athrl_protocol.upload.MOST_CHUNKS", 1)
+    monkeypatch.setattr("athrl_protocol.upload_pace.MOST_CHUNKS", 1)
     marks: list[int] = []
     all_submitted, several_under_way, sent_back = (threading.Event() for _ in range(3))
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import zenoh
 from athrl_protocol import Chunk, ChunkIntake, ChunkUploader, IntakeBusy, new_incarnation
 from athrl_protocol.intake import CREDITS
-from athrl_protocol.upload import HELD_WHILE_BUSY
+from athrl_protocol.upload_pace import HELD_WHILE_BUSY
 
 PATIENCE = 30.0
 RUN = "pace"

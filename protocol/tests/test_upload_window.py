@@ -14,12 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 
-def test_window_is_bounded_and_counts_add_up() -> None:
-    window = UploadWindow(capacity=3)
+def test_counts_of_a_window_add_up() -> None:
+    window = UploadWindow()
     for content in (b"0", b"1", b"2"):
-        assert not window.is_full
         window.add(content)
-    assert window.is_full
+    assert len(window) == 3
     assert window.take() == (0, 0, b"0")
     assert window.take() == (1, 0, b"1")
     window.acknowledge(1)
@@ -30,7 +29,7 @@ def test_window_is_bounded_and_counts_add_up() -> None:
 
 
 def test_what_is_given_up_is_counted_by_reason() -> None:
-    window = UploadWindow(capacity=9)
+    window = UploadWindow()
     for _ in range(6):
         window.add(b"")
         window.take()
@@ -48,7 +47,7 @@ def test_what_is_given_up_is_counted_by_reason() -> None:
 
 
 def test_acknowledgement_never_drops_what_was_not_sent() -> None:
-    window = UploadWindow(capacity=3)
+    window = UploadWindow()
     window.add(b"0")
     window.add(b"1")
     window.take()
@@ -57,7 +56,7 @@ def test_acknowledgement_never_drops_what_was_not_sent() -> None:
 
 
 def test_rewind_sends_again_from_the_oldest_held() -> None:
-    window = UploadWindow(capacity=5)
+    window = UploadWindow()
     for number in range(5):
         window.add(b"%d" % number)
         window.take()
@@ -110,7 +109,7 @@ class _Simulation:
 
     def __init__(self, chunk: Chunk) -> None:
         self.chunk = chunk
-        self.window = UploadWindow(capacity=6)
+        self.window = UploadWindow()
         self.ledger = Ledger()
         self.stored: list[int] = []  # what the learner has now
         self.lost: set[int] = set()  # what it counted as lost
@@ -118,7 +117,7 @@ class _Simulation:
         self.save()
 
     def produce(self) -> None:
-        if not self.window.is_full:
+        if len(self.window) < 6:
             self.window.add(b"")
 
     def exchange(self, query_arrives: bool, answer_arrives: bool) -> bool:
