@@ -1,11 +1,15 @@
 """The rerun viewer, or a rerun server that viewers connect to, as a child process.
 
-It is a process of its own because a viewer that hangs may block whoever logs to it.
+It is a process of its own because a viewer that hangs may block whoever logs to it. It is in a process group of
+its own, too: Ctrl-C in the terminal would end it together with this process, which then could not hand over its last
+frames and would tell of errors. It does not outlive this process, however that ends.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import socket
 import subprocess
 import time
@@ -19,6 +23,9 @@ from athrl_protocol import AddressInUse, ProtocolError
 START_SECONDS = 30.0
 END_SECONDS = 5.0
 MEMORY_LIMIT = "512MiB"  # of frames that are kept for scrolling back
+
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
 
 
 @contextmanager
@@ -68,7 +75,14 @@ def free_port() -> int:
 def _process(bind: str, port: int, options: list[str]) -> Iterator[subprocess.Popen]:
     _check_free(bind, port)
     program = Path(rerun_cli.__file__).with_name("rerun")
-    process = subprocess.Popen([str(program), *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [str(program), *options],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        process_group=0,
+        preexec_fn=_end_with_parent,
+    )
     try:
         _wait_until_it_listens(process, _near_host(bind), port)
         yield process
@@ -79,6 +93,11 @@ def _process(bind: str, port: int, options: list[str]) -> Iterator[subprocess.Po
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def _end_with_parent() -> None:
+    """In the child before it becomes rerun: let the system end it when the thread that started it is gone."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _near_host(bind: str) -> str:

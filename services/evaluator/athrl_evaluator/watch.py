@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import takewhile
 from pathlib import Path
 
 import rerun as rr
@@ -110,13 +111,17 @@ def watch_recording(
 
     Raises ProtocolError when the file is no recording or the port is taken.
     """
-    frames = list(read_frames(recording))
+    frames = list(takewhile(lambda _: not stop.is_set(), read_frames(recording)))
+    if stop.is_set():
+        return
     with ExitStack() as stack:
         port = free_port() if serve is None else serve
         bind = "127.0.0.1" if serve is None else bind
         process = stack.enter_context(viewer_process(port) if serve is None else server_process(bind, port))
         drawing = SceneDrawing(_connected(bind, port, stack))
         for frame in frames:
+            if stop.is_set():
+                return
             drawing.draw(frame)
         print(f"showing {recording}: {proxy_address(bind, port)}", flush=True)
         while process.poll() is None and not stop.wait(POLL_SECONDS):
