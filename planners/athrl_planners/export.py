@@ -14,7 +14,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from onnx import TensorProto
+from onnx import ModelProto, TensorProto
 from torch import Tensor
 
 from athrl_planners.athrl import AtHRL
@@ -32,19 +32,29 @@ class PolicyExporter:
         self._policy = agent.policy
         graph = OnnxGraph()
         _build(graph, agent)
-        self._model = graph.model({"athrl": json.dumps(policy_metadata(agent))})
-        self._initializers = {
-            tensor.name: tensor
-            for tensor in self._model.graph.initializer
-            if tensor.name in set(graph.weights)
-        }
+        self._weights = set(graph.weights)
+        self._graph = _without(self._weights, graph.model({"athrl": json.dumps(policy_metadata(agent))}))
 
     def artefact(self) -> bytes:
-        """The present policy as the bytes of an ONNX file."""
+        """The present policy as the bytes of an ONNX file.
+
+        The weights go into a message of the moment: one that lives keeps all that was ever put into it.
+        """
         state: dict[str, Tensor] = self._policy.state_dict()
-        for name, initializer in self._initializers.items():
-            initializer.raw_data = state[name].cpu().numpy().astype("<f4", copy=False).tobytes()
-        return self._model.SerializeToString()
+        model = ModelProto.FromString(self._graph)
+        for initializer in model.graph.initializer:
+            if initializer.name in self._weights:
+                weights = state[initializer.name].cpu().numpy()
+                initializer.raw_data = weights.astype("<f4", copy=False).tobytes()
+        return model.SerializeToString()
+
+
+def _without(weights: set[str], model: ModelProto) -> bytes:
+    """The model as bytes, with its weights left out."""
+    for initializer in model.graph.initializer:
+        if initializer.name in weights:
+            initializer.ClearField("raw_data")
+    return model.SerializeToString()
 
 
 def policy_metadata(agent: AtHRL) -> dict[str, Any]:

@@ -1,7 +1,9 @@
 """The artefact says and does what the agent does."""
 
 import json
+import os
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -148,6 +150,23 @@ def test_a_publication_has_the_newest_weights_in_the_same_graph(
         ).max()
         > 0
     )
+
+
+def test_publishing_for_a_week_takes_no_more_memory(make_agent: MakeAgent) -> None:
+    exporter = PolicyExporter(make_agent())
+    size = len(exporter.artefact())
+    for _ in range(20):  # until freed memory is used again
+        exporter.artefact()
+    before = resident_bytes()
+    for _ in range(200):
+        exporter.artefact()
+    assert resident_bytes() - before < 20 * size
+
+
+def resident_bytes() -> int:
+    """Memory that this process has."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_the_metadata_describes_observation_states_actions_and_noise(make_agent: MakeAgent) -> None:
