@@ -1,8 +1,8 @@
 """The rerun viewer, or a rerun server that viewers connect to, as a child process.
 
-It is a process of its own because a viewer that hangs may block whoever logs to it. It is in a process group of
-its own, too: Ctrl-C in the terminal would end it together with this process, which then could not hand over its last
-frames and would tell of errors. It does not outlive this process, however that ends.
+It is a process of its own because a viewer that hangs may block whoever logs to it. It is in a process
+group of its own, too: Ctrl-C in the terminal would end it together with this process, which then could not
+hand over its last frames and would tell of errors. It does not outlive this process, however that ends.
 """
 
 from __future__ import annotations
