@@ -218,8 +218,10 @@ class ChunkUploader(Closing):
     def _wait_for_a_chunk(self) -> bool:
         """Wait a while for something to send; return whether all was sent and answered and yet is held."""
         with self._changed:
-            seconds = min(IDLE_SECONDS, max(0.0, self._due_at - time.monotonic()))
-            self._changed.wait_for(lambda: self._is_due() or self._closed.is_set(), seconds)
+            # What was given up is due no more; when the next one is changes as soon as it comes.
+            due_in = self._due_at - time.monotonic() if self._window.has_unsent else IDLE_SECONDS
+            if due_in > 0.0 and not self._is_due() and not self._closed.is_set():
+                self._changed.wait(min(IDLE_SECONDS, due_in))
             return not self._window.is_empty and not self._window.has_unsent
 
     def _send_what_may_go(self) -> None:

@@ -6,8 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 
+import pytest
 import zenoh
 from athrl_protocol import Chunk, ChunkIntake, ChunkUploader, IntakeBusy, new_incarnation
+from athrl_protocol import upload as upload_module
 from athrl_protocol.intake import CREDITS
 from athrl_protocol.upload_pace import HELD_WHILE_BUSY
 
@@ -120,3 +122,48 @@ def test_slow_disk_is_asked_once_for_many_chunks(connect: Open, listen: Open, ma
         assert uploader.flush(PATIENCE)
         assert receiver.commits < 40
         assert uploader.statistics().acknowledged == len(receiver.marks) == 40
+
+
+def test_uploader_rests_once_the_run_is_over(
+    connect: Open,
+    listen: Open,
+    make_chunk: Make,
+    eventually: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rounds, send = [], ChunkUploader._send_what_may_go
+    monkeypatch.setattr(ChunkUploader, "_send_what_may_go", lambda self: (rounds.append(1), send(self))[1])
+    session, receiver = listen(), _Receiver()
+    with (
+        ChunkUploader(connect(), RUN, "actor-0", new_incarnation(), capacity=40) as uploader,
+        ChunkIntake(session, RUN, receiver) as intake,
+    ):
+        _submit(uploader, make_chunk, range(1))
+        assert uploader.flush(PATIENCE)
+        receiver.raises = IntakeBusy()
+        _submit(uploader, make_chunk, range(1, HELD_WHILE_BUSY))
+        eventually(lambda: uploader.statistics().resent > 0)  # it was told
+        _submit(uploader, make_chunk, range(HELD_WHILE_BUSY, HELD_WHILE_BUSY + 1))
+        intake.stop_accepting(finished=True)
+        eventually(lambda: uploader.finished)
+        rounds.clear()
+        time.sleep(10 * upload_module.GATHER_SECONDS)
+        assert len(rounds) < 10
+
+
+def test_lone_chunk_is_sent_although_no_other_follows(
+    connect: Open,
+    listen: Open,
+    make_chunk: Make,
+    eventually: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(upload_module, "IDLE_SECONDS", 4 * PATIENCE)
+    session, receiver = listen(), _Receiver()
+    with (
+        ChunkUploader(connect(), RUN, "actor-0", new_incarnation(), capacity=40) as uploader,
+        ChunkIntake(session, RUN, receiver),
+    ):
+        for mark in range(3):
+            _submit(uploader, make_chunk, range(mark, mark + 1))
+            eventually(lambda awaited=mark: uploader.statistics().acknowledged > awaited)
