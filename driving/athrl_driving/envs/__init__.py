@@ -1,5 +1,6 @@
 """gymnasium environments in highway-env's manner."""
 
+from athrl_driving import deferred  # noqa: F401  (before whatever imports highway-env)
 from athrl_driving.envs.action import WaypointAction
 from athrl_driving.envs.ego_vehicle import EgoVehicle
 from athrl_driving.envs.observation import BirdEyeObservation
