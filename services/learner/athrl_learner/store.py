@@ -76,7 +76,9 @@ class ExperienceStore:
         with self._changed:
             if self.complete:
                 raise IntakeFinished("the run has all its environment steps")
-            if not self.limiter.permits_insert(chunk.length):
+            # Room for the largest, whatever this one's length: else short chunks would take every bit of room
+            # as it comes, and an actor whose oldest chunk is long would wait for ever.
+            if not self.limiter.permits_insert(self.limiter.largest_insert):
                 self.actors_waiting.begin()
                 raise IntakeBusy(self.limiter.explain() or "the learner is busy")
             number = self._write_down(Kind.CHUNK, message)

@@ -18,7 +18,7 @@ from athrl_protocol import ChunkIntake, RunFile, encode_chunk, open_session
 def trained(run_file: RunFile, make_chunk, agent: AtHRL, experience: SegmentLog) -> ExperienceStore:
     store = make_experience(run_file, agent, Arrivals(), experience)
     sequence = 0
-    while store.limiter.permits_insert(5):
+    while store.limiter.permits_insert(store.limiter.largest_insert):
         chunk = make_chunk(length=5 if len(store.replay) % 2 else 3, sequence=sequence)
         store.accept(chunk, encode_chunk(chunk))
         sequence += 1

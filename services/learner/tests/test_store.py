@@ -61,6 +61,21 @@ def test_actors_wait_while_training_lags(store, make_chunk, accept):
     assert store.environment_steps == before + 5
 
 
+def test_a_long_chunk_gets_its_turn_though_short_ones_take_what_room_there_is(store, make_chunk, accept):
+    def short(**fields: object) -> Chunk:
+        return make_chunk(length=1, truncated=True, **fields)
+
+    fill(store, short, accept)
+    long = make_chunk(sequences=store.limiter.largest_insert // 5)
+    for _ in range(5):
+        assert store.sample(4, timeout=0) is not None
+        with contextlib.suppress(IntakeBusy):
+            accept(store, long)
+            return
+        fill(store, short, accept)
+    pytest.fail("short chunks took all the room there was")
+
+
 def test_training_waits_while_experience_lags(store, make_chunk, accept):
     assert store.sample(4, timeout=0) is None
     fill(store, make_chunk, accept)
