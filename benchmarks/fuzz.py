@@ -1,6 +1,7 @@
 """Throw broken messages at every decoder: each must be refused as `InvalidMessage`, or be a proper one.
 
-    python -m benchmarks.fuzz --messages 1000000
+    python -m benchmarks.fuzz            the long run: LONG_MESSAGES
+    python -m benchmarks.fuzz --short    the one among the tests: SHORT_MESSAGES
 
 Valid messages of every kind are changed: bits and bytes, lengths, pieces of other messages, fields with
 values at and beyond their bounds, numbers that are none, images that unpack to something else. What a decoder
@@ -13,6 +14,7 @@ hexadecimal, that did it.
 from __future__ import annotations
 
 import argparse
+import functools
 import random
 import resource
 import struct
@@ -48,6 +50,8 @@ from google.protobuf.message import Message
 LENGTH, SEQUENCES, SIZE = 10, 2, 32
 TIME = LENGTH * SEQUENCES
 LONGEST = 2 * TIME
+LONG_MESSAGES, SHORT_MESSAGES = 1_000_000, 25_000
+"""How many messages a run throws; the tests throw the short one's."""
 LARGEST = 1e5
 """Of anything that may go into the replay."""
 MEMORY = 512 * 2**20
@@ -226,14 +230,18 @@ def changed_images(chance: random.Random, target: Target) -> bytes:
     message.ParseFromString(target.example)
     if not isinstance(message, athrl_pb2.Chunk):
         return changed_bytes(chance, target)
-    size = chance.choice([0, 1, 1000, 2**20, 2**26])
-    compressor = zstandard.ZstdCompressor(level=1, write_content_size=chance.random() < 0.5)
-    message.images = compressor.compress(bytes(size))
+    message.images = _compressed(chance.choice([0, 1, 1000, 2**20, 2**26]), chance.random() < 0.5)
     if chance.random() < 0.3:
         message.time = chance.choice(_EXTREMES)
     if chance.random() < 0.3:
         message.image_height = chance.choice(_EXTREMES)
     return message.SerializeToString()
+
+
+@functools.cache
+def _compressed(size: int, announced: bool) -> bytes:
+    """Return so many bytes, compressed; kept, since that takes longer than all that is tried with it."""
+    return zstandard.ZstdCompressor(level=1, write_content_size=announced).compress(bytes(size))
 
 
 def _change(chance: random.Random, message: Message) -> None:
@@ -250,8 +258,8 @@ def _change(chance: random.Random, message: Message) -> None:
 def _change_repeated(chance: random.Random, message: Message, field: FieldDescriptor) -> None:
     values: Any = getattr(message, field.name)
     if field.message_type.GetOptions().map_entry:
-        for _ in range(chance.choice([1, 3, 3_000])):
-            values[str(chance.random())] = chance.choice(_FLOATS)
+        for value in chance.choices(_FLOATS, k=chance.choice([1, 3, 3_000])):
+            values[str(chance.random())] = value
     elif chance.random() < 0.5 and len(values):
         _change(chance, chance.choice(values))
     elif chance.random() < 0.5:
@@ -341,7 +349,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--messages", type=int, default=1_000_000)
+    how_many = parser.add_mutually_exclusive_group()
+    how_many.add_argument("--messages", type=int, default=LONG_MESSAGES)
+    how_many.add_argument(
+        "--short", action="store_const", dest="messages", const=SHORT_MESSAGES, help="as the tests do"
+    )
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     began = time.monotonic()
