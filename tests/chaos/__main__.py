@@ -14,6 +14,7 @@ from pathlib import Path
 from rich.console import Console
 
 import tests.chaos
+from tests.chaos.disk import Disk
 from tests.chaos.report import draw, reckon
 from tests.chaos.run import LONG_MINUTES, lay_out
 from tests.chaos.storm import storm
@@ -34,8 +35,11 @@ def main() -> int:
         else:
             folder = arguments.folder
             folder.mkdir(parents=True)
+        disk = stack.enter_context(Disk(folder / "storm" / "disk", kept=arguments.folder is not None))
+        if not disk.permitted:
+            say("no file system may be mounted here: the disk does not get full in this storm")
         run = lay_out(folder / "storm", arguments.actors, long=arguments.minutes >= LONG_MINUTES)
-        seen = storm(run, arguments.seed, 60.0 * arguments.minutes, say)
+        seen = storm(run, disk, arguments.seed, 60.0 * arguments.minutes, say)
         say("reckoning")
         report = {"seed": arguments.seed, "minutes": arguments.minutes, **reckon(run, seen)}
     draw(report, Console(width=110))

@@ -1,4 +1,4 @@
-"""Connections that can be cut: a small TCP proxy for each service, between it and the learner.
+"""Connections that can be cut: a small TCP proxy for each service, between it and the learner or a router.
 
 What is held back in a silent direction is not dropped but arrives later, as with TCP when packets are lost.
 """
@@ -21,12 +21,12 @@ _PATIENCE_SECONDS = 10.0
 
 
 class Link:
-    """One service's way to the learner; every method may be called from any thread."""
+    """One service's way towards the learner; every method may be called from any thread."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, learner_port: int) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, next_port: int) -> None:
         self.port = 0
         self._loop = loop
-        self._learner_port = learner_port
+        self._next_port = next_port
         self._open = {True: asyncio.Event(), False: asyncio.Event()}  # by: towards the learner
         self._delay = 0.0
         self._severed = False
@@ -36,7 +36,7 @@ class Link:
 
     @property
     def address(self) -> str:
-        """Where the service finds the learner."""
+        """Where the service finds what is next on its way: the learner, or a router."""
         return f"tcp/{HOST}:{self.port}"
 
     def cut(self) -> None:
@@ -86,7 +86,7 @@ class Link:
         try:
             if self._severed:
                 return
-            from_learner, to_learner = await asyncio.open_connection(HOST, self._learner_port)
+            from_learner, to_learner = await asyncio.open_connection(HOST, self._next_port)
         except OSError:
             return
         else:
@@ -127,11 +127,14 @@ class Link:
 
 
 class Cutter:
-    """The links of all services, in a thread of its own; a context manager."""
+    """The links of all services, in a thread of its own; a context manager.
 
-    def __init__(self, learner_port: int, services: list[str]) -> None:
+    `next_ports` says for each service at which port of this machine the next one on its way listens.
+    """
+
+    def __init__(self, next_ports: dict[str, int]) -> None:
         self._loop = asyncio.new_event_loop()
-        self.links = {name: Link(self._loop, learner_port) for name in services}
+        self.links = {name: Link(self._loop, port) for name, port in next_ports.items()}
         self._servers: list[asyncio.Server] = []
         self._thread = threading.Thread(target=self._loop.run_forever, name="cutter", daemon=True)
 

@@ -6,22 +6,27 @@ import random
 import re
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from athrl_learner.checkpoint.content import AGENT, MANIFEST, STATE, numbered_checkpoints
 
 from tests.chaos.cutter import Link
+from tests.chaos.disk import Disk
 from tests.chaos.evidence import Evidence
 from tests.chaos.flood import Flood, flood, strangers
 from tests.chaos.observer import Observer
 from tests.chaos.processes import Service
-from tests.chaos.run import EVALUATOR, LEARNER, StormyRun
+from tests.chaos.run import EVALUATOR, LEARNER, ROUTER, StormyRun
 from tests.chaos.schedule import Fault, Kind
 
 _STOP_SECONDS = 90.0
 _SLOWEST_SECONDS = 0.2
 _METRICS_SECONDS = 2.5
+_NOTICE_SECONDS = 30.0
+_RETURN_SECONDS = 90.0
+_PAUSES = "intake pauses, nothing is lost"
 
 
 @dataclass
@@ -32,10 +37,12 @@ class Faults:
         floods: what became of their messages.
         turned_away: connections of strangers, by what they lacked.
         damaged: names of the checkpoints that were damaged.
+        paused: how often the learner met a full disk and said that intake pauses.
         failures: what a fault showed to be wrong, one line each.
     """
 
     run: StormyRun
+    disk: Disk
     services: dict[str, Service]
     links: dict[str, Link]
     observer: Observer
@@ -43,6 +50,7 @@ class Faults:
     floods: list[Flood] = field(default_factory=list)
     turned_away: dict[str, int] = field(default_factory=dict)
     damaged: list[str] = field(default_factory=list)
+    paused: int = 0
     failures: list[str] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -50,7 +58,7 @@ class Faults:
         """Let the fault begin and end; what died is started again."""
         service = self.services[fault.target]
         match fault.kind:
-            case Kind.LEARNER_KILLED | Kind.ACTOR_KILLED | Kind.EVALUATOR_KILLED:
+            case Kind.LEARNER_KILLED | Kind.ACTOR_KILLED | Kind.EVALUATOR_KILLED | Kind.ROUTER_KILLED:
                 service.kill()
                 time.sleep(fault.seconds)
                 service.start()
@@ -59,14 +67,16 @@ class Faults:
                 self._damage(random.Random(fault.seed))
                 time.sleep(fault.seconds)
                 service.start()
-            case Kind.LEARNER_STOPPED | Kind.ACTOR_STOPPED | Kind.EVALUATOR_STOPPED:
+            case Kind.LEARNER_STOPPED | Kind.ACTOR_STOPPED | Kind.EVALUATOR_STOPPED | Kind.ROUTER_STOPPED:
                 self._stop(service)
                 time.sleep(fault.seconds)
                 service.start()
-            case Kind.LEARNER_PAUSED | Kind.ACTOR_PAUSED | Kind.EVALUATOR_PAUSED:
+            case Kind.LEARNER_PAUSED | Kind.ACTOR_PAUSED | Kind.EVALUATOR_PAUSED | Kind.ROUTER_PAUSED:
                 service.pause()
                 time.sleep(fault.seconds)
                 service.resume()
+            case Kind.DISK_FULL | Kind.DISK_FULL_LEARNER_KILLED:
+                self._fill_disk(fault)
             case Kind.FLOOD:
                 self._flood(fault)
             case Kind.STRANGERS:
@@ -78,8 +88,29 @@ class Faults:
         """Whether those that the fault hit have done their work after the moment `since`."""
         if fault.target == EVALUATOR:
             return self.observer.heard_at("evaluator", EVALUATOR) > since
-        actor = None if fault.target == LEARNER else fault.target
-        return self.evidence.last_acknowledgement(actor) > since
+        hit = {LEARNER: self.run.actors, ROUTER: self.run.behind_router}.get(fault.target, (fault.target,))
+        return all(self.evidence.last_acknowledgement(actor) > since for actor in hit)
+
+    def _fill_disk(self, fault: Fault) -> None:
+        """Leave no room, or less than is kept for checkpoints, from when the learner says so for a while."""
+        learner = self.services[LEARNER]
+        reserve = self.run.settings().durability.reserve_mebibytes * 2**20
+        told = learner.said().count(_PAUSES)
+        self.disk.fill(random.Random(fault.seed).choice([0, round(reserve / 2)]))
+        try:
+            self.paused += within(_NOTICE_SECONDS, lambda: learner.said().count(_PAUSES) > told)
+            time.sleep(fault.seconds)
+            if fault.kind is Kind.DISK_FULL_LEARNER_KILLED:
+                self._kill_while_full(learner)
+        finally:
+            self.disk.empty()
+
+    def _kill_while_full(self, learner: Service) -> None:
+        """Let the learner die; its successor has to come back though there is no room."""
+        learner.kill()
+        learner.start()
+        if not within(_RETURN_SECONDS, lambda: self.observer.heard_at(LEARNER, LEARNER) > learner.began_at):
+            self._fail(f"the learner was not back within {_RETURN_SECONDS:.0f} s while its disk was full")
 
     def _disturb(self, link: Link, fault: Fault) -> None:
         if fault.kind is Kind.LINK_CUT:
@@ -137,6 +168,16 @@ class Faults:
     def _fail(self, text: str) -> None:
         with self._lock:
             self.failures.append(text)
+
+
+def within(seconds: float, condition: Callable[[], bool]) -> bool:
+    """Whether the condition came true within so many seconds."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
 
 
 def _spoil(path: Path, chance: random.Random) -> None:

@@ -40,7 +40,8 @@ class Service:
         self.endings: list[Ending] = []
         self._words = words
         self._folder = folder
-        self._environment = {**os.environ, **environment, LIFELINE: "1", "PYTHONPATH": str(ROOT)}
+        paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+        self._environment = {**os.environ, **environment, LIFELINE: "1", "PYTHONPATH": paths}
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = threading.RLock()
 

@@ -15,7 +15,8 @@ from tests.chaos.outages import longest_stall, recovery_table
 from tests.chaos.reckoning import Account, Log, compare, imbalances, read_log
 from tests.chaos.restored import replay_differences
 from tests.chaos.run import LEARNER, StormyRun
-from tests.chaos.storm import Observed
+from tests.chaos.schedule import FAMILIES, Kind
+from tests.chaos.storm import Observed, possible_kinds
 
 STALL_SECONDS = 60.0
 """Nothing may stand still for so long while all is well, however busy the machine is."""
@@ -40,11 +41,14 @@ def reckon(run: StormyRun, seen: Observed) -> dict[str, Any]:
         *([f"the policy did not improve: {learned}"] if learned and not learned["improved"] else []),
     ]
     floods = seen.faults.floods
-    faults = [fault.kind.value for outage in seen.outages for fault in outage.group.faults]
+    kinds = [fault.kind for outage in seen.outages for fault in outage.group.faults]
     return {
-        "faults": len(faults),
-        "faults_by_kind": dict(sorted(Counter(faults).items())),
+        "faults": len(kinds),
+        "faults_by_kind": dict(sorted(Counter(kinds).items())),
+        "kills": sum(fault.value.count("killed") for fault in kinds),
+        "left_out": sorted(set(Kind) - possible_kinds(seen.faults.disk)),
         **asdict(account),
+        "intake_paused": seen.faults.paused,
         "longest_stall_s": round(stall, 2),
         "recovery": recovery_table(seen.outages),
         "malformed_sent": sum(flood.sent for flood in floods),
@@ -86,6 +90,9 @@ def _failures(run: StormyRun, seen: Observed, log: Log, account: Account) -> lis
     for what in ("lost", "twice", "foreign"):
         if count := getattr(account, what):
             found.append(f"{count} chunks {what}")
+    full = [outage for outage in seen.outages if any(f.kind in FAMILIES["disk"] for f in outage.group.faults)]
+    if full and not seen.faults.paused:
+        found.append("the disk was full, and the learner never said that intake pauses")
     if after <= before:
         found.append(f"training stood still: {before:.0f} updates before, {after:.0f} after")
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from tests.chaos.cutter import HOST, Link
 from tests.chaos.processes import Service
 
 RUN = "storm"
-LEARNER, EVALUATOR = "learner", "evaluator"
+LEARNER, EVALUATOR, ROUTER = "learner", "evaluator", "router"
 LONG_MINUTES = 5.0
 """From here on a storm has to leave a better policy behind."""
 
@@ -46,12 +47,14 @@ class StormyRun:
     Attributes:
         folder: of the storm; holds all the others.
         port: at which the learner listens.
-        actors: their names.
+        router_port: at which the router listens.
+        actors: their names; the last one is behind the router.
         long: whether the storm is one after which the policy has to be better.
     """
 
     folder: Path
     port: int
+    router_port: int
     actors: tuple[str, ...]
     long: bool
 
@@ -63,7 +66,12 @@ class StormyRun:
     @property
     def run_folder(self) -> Path:
         """The run's own."""
-        return self.folder / "runs" / RUN
+        return self.disk / "runs" / RUN
+
+    @property
+    def disk(self) -> Path:
+        """What the run writes lies here; a disk of its own, where that can be had."""
+        return self.folder / "disk"
 
     @property
     def evidence(self) -> Path:
@@ -72,8 +80,11 @@ class StormyRun:
 
     @property
     def archive(self) -> Path:
-        """Where every segment of the log stays, also those that the learner needs no more."""
-        return self.folder / "archive"
+        """Where every segment of the log stays, also those that the learner needs no more.
+
+        On the run's disk, so that a segment is there by a second name.
+        """
+        return self.disk / "archive"
 
     @property
     def logs(self) -> Path:
@@ -86,13 +97,37 @@ class StormyRun:
         return f"tcp/{HOST}:{self.port}"
 
     @property
+    def behind_router(self) -> tuple[str, ...]:
+        """The actors whose way to the learner is through the router."""
+        return self.actors[-1:]
+
+    @property
+    def next_ports(self) -> dict[str, int]:
+        """For each service the port of the next one on its way to the learner."""
+        clients = (*self.actors, EVALUATOR, ROUTER)
+        return {name: self.router_port if name in self.behind_router else self.port for name in clients}
+
+    @property
+    def targets(self) -> dict[str, list[str]]:
+        """Which services each family of faults may hit."""
+        return {
+            "learner": [LEARNER],
+            "actor": list(self.actors),
+            "evaluator": [EVALUATOR],
+            "router": [ROUTER],
+            "connection": [*self.actors, *self.actors, EVALUATOR, ROUTER],
+            "disk": [LEARNER],
+            "intruder": [LEARNER],
+        }
+
+    @property
     def overrides(self) -> list[str]:
         """The settings that differ from the defaults."""
         values: dict[str, object] = {
             **_SETTINGS,
             **(_LONG if self.long else {}),
             "run.name": RUN,
-            "run.folder": str(self.folder / "runs"),
+            "run.folder": str(self.disk / "runs"),
             "network.listen": self.address,
         }
         return [f"{key}={value}" for key, value in values.items()]
@@ -102,13 +137,15 @@ class StormyRun:
         return read_run_file(None, self.overrides)
 
     def services(self, links: dict[str, Link]) -> list[Service]:
-        """Return the learner, the actors and the evaluator, none of them started."""
+        """Return the learner, the router, the actors and the evaluator, none of them started."""
         learner = [word for setting in self.overrides for word in ("--set", setting)]
         services = [self._service(LEARNER, ["athrl", "learner", "--resume-if-present", *learner])]
+        router = ["athrl", "router", "--name", ROUTER, "--listen", f"tcp/{HOST}:{self.router_port}"]
+        services.append(self._service(ROUTER, [*router, *_where(links[ROUTER])]))
         for name in self.actors:
             witness = ["tests.chaos.witness", str(self.evidence / f"{name}.txt")]
             services.append(self._service(name, [*witness, "actor", "--name", name, *_where(links[name])]))
-        evaluator = ["athrl", "evaluator", "--name", EVALUATOR, "--folder", str(self.folder / "runs")]
+        evaluator = ["athrl", "evaluator", "--name", EVALUATOR, "--folder", str(self.disk / "runs")]
         services.append(self._service(EVALUATOR, [*evaluator, *_where(links[EVALUATOR])]))
         return services
 
@@ -118,16 +155,19 @@ class StormyRun:
 
 
 def lay_out(folder: Path, actors: int, *, long: bool) -> StormyRun:
-    """Make the folder's folders and the certificates, and find a free port."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        port = int(probe.getsockname()[1])
+    """Make the folder's folders and the certificates, and find free ports."""
     names = tuple(f"actor-{number}" for number in range(1, actors + 1))
-    run = StormyRun(folder.resolve(), port, names, long)
+    run = StormyRun(folder.resolve(), *_free_ports(2), names, long)
     for path in (run.evidence, run.archive, run.logs):
         path.mkdir(parents=True)
     make_all(run.certificates, [HOST, "localhost"], 2)
     return run
+
+
+def _free_ports(count: int) -> list[int]:
+    with ExitStack() as stack:
+        probes = [stack.enter_context(socket.create_server((HOST, 0))) for _ in range(count)]
+        return [int(probe.getsockname()[1]) for probe in probes]
 
 
 def _where(link: Link) -> list[str]:

@@ -28,23 +28,36 @@ class Kind(StrEnum):
     EVALUATOR_KILLED = "evaluator killed"
     EVALUATOR_PAUSED = "evaluator paused"
     EVALUATOR_STOPPED = "evaluator stopped"
+    ROUTER_KILLED = "router killed"
+    ROUTER_PAUSED = "router paused"
+    ROUTER_STOPPED = "router stopped"
     LINK_CUT = "connection cut"
     LINK_SILENT = "connection silent both ways"
     LINK_SILENT_OUT = "connection silent towards the learner"
     LINK_SILENT_IN = "connection silent from the learner"
     LINK_SLOW = "connection slow"
+    DISK_FULL = "disk full"
+    DISK_FULL_LEARNER_KILLED = "disk full, learner killed"
     FLOOD = "flood of malformed messages"
     STRANGERS = "connections of strangers"
 
 
-FIRST = (
-    Kind.LEARNER_KILLED,
-    Kind.CHECKPOINT_DAMAGED,
-    Kind.ACTOR_KILLED,
-    Kind.LINK_SILENT,
-    Kind.FLOOD,
-)
-"""What comes first, in any order, so that also a short storm has it; from then on all kinds come alike."""
+FAMILIES: dict[str, tuple[Kind, ...]] = {
+    "learner": (Kind.LEARNER_KILLED, Kind.LEARNER_PAUSED, Kind.LEARNER_STOPPED, Kind.CHECKPOINT_DAMAGED),
+    "actor": (Kind.ACTOR_KILLED, Kind.ACTOR_PAUSED, Kind.ACTOR_STOPPED),
+    "evaluator": (Kind.EVALUATOR_KILLED, Kind.EVALUATOR_PAUSED, Kind.EVALUATOR_STOPPED),
+    "router": (Kind.ROUTER_KILLED, Kind.ROUTER_PAUSED, Kind.ROUTER_STOPPED),
+    "connection": (
+        Kind.LINK_CUT,
+        Kind.LINK_SILENT,
+        Kind.LINK_SILENT_OUT,
+        Kind.LINK_SILENT_IN,
+        Kind.LINK_SLOW,
+    ),
+    "disk": (Kind.DISK_FULL, Kind.DISK_FULL_LEARNER_KILLED),
+    "intruder": (Kind.FLOOD, Kind.STRANGERS),
+}
+"""What can happen to whom. One kind of each family comes first, so that also a short storm has them all."""
 
 _RESTARTED = {
     Kind.LEARNER_KILLED,
@@ -54,7 +67,12 @@ _RESTARTED = {
     Kind.ACTOR_STOPPED,
     Kind.EVALUATOR_KILLED,
     Kind.EVALUATOR_STOPPED,
+    Kind.ROUTER_KILLED,
+    Kind.ROUTER_STOPPED,
 }
+
+
+_FAMILY_OF = {kind: family for family, members in FAMILIES.items() for kind in members}
 
 
 @dataclass(frozen=True)
@@ -63,7 +81,7 @@ class Fault:
 
     Attributes:
         kind: what.
-        target: the service that it happens to, or whose connection; the learner for a flood.
+        target: the service that it happens to, or whose connection; the learner for intruders and its disk.
         seconds: how long, or for what dies how long until it is started again.
         seed: of whatever else is left to chance.
     """
@@ -89,21 +107,33 @@ class Group:
     merciful: bool
 
 
-def schedule(seed: int, actors: list[str], evaluator: str, *, longest_pause: float) -> Iterator[Group]:
-    """Yield groups of faults without end: `FIRST`, and then every kind before any comes again.
+def schedule(
+    seed: int, targets: dict[str, list[str]], kinds: frozenset[Kind], *, longest_pause: float
+) -> Iterator[Group]:
+    """Yield groups of faults without end: one of each family, then every kind before any comes again.
 
     Args:
         seed: the same one gives the same faults.
-        actors: names of the actors.
-        evaluator: name of the evaluator.
+        targets: family -> names of the services that it may hit.
+        kinds: those that may come.
         longest_pause: seconds; of the long pauses and holes.
     """
     chance = random.Random(seed)
-    deck = chance.sample(FIRST, len(FIRST))
+    possible = [[kind for kind in family if kind in kinds] for family in FAMILIES.values()]
+    deck = [chance.choice(family) for family in possible if family]
+    chance.shuffle(deck)
+
+    def next_fault() -> Fault:
+        if not deck:
+            deck.extend(chance.sample(sorted(kinds), len(kinds)))
+        kind = deck.pop()
+        target = chance.choice(targets[_FAMILY_OF[kind]])
+        return Fault(kind, target, _seconds(chance, kind, longest_pause), chance.getrandbits(32))
+
     while True:
-        faults = [_next_fault(chance, deck, actors, evaluator, longest_pause)]
+        faults = [next_fault()]
         if chance.random() < TWO_AT_ONCE:
-            second = _next_fault(chance, deck, actors, evaluator, longest_pause)
+            second = next_fault()
             if second.target != faults[0].target:
                 faults.append(second)
             else:
@@ -111,29 +141,11 @@ def schedule(seed: int, actors: list[str], evaluator: str, *, longest_pause: flo
         yield Group(tuple(faults), chance.uniform(0.5, 3.0), chance.random() >= NO_MERCY)
 
 
-def _next_fault(
-    chance: random.Random, deck: list[Kind], actors: list[str], evaluator: str, longest_pause: float
-) -> Fault:
-    if not deck:
-        deck.extend(chance.sample(list(Kind), len(Kind)))
-    kind = deck.pop()
-    return Fault(
-        kind,
-        _target(chance, kind, actors, evaluator),
-        _seconds(chance, kind, longest_pause),
-        chance.getrandbits(32),
-    )
-
-
-def _target(chance: random.Random, kind: Kind, actors: list[str], evaluator: str) -> str:
-    role = kind.split()[0]
-    if role == "actor":
-        return chance.choice(actors)
-    if role == "evaluator":
-        return evaluator
-    if role == "connection":
-        return chance.choice([*actors, *actors, evaluator])
-    return "learner"
+def complete(happened: set[Kind], kinds: frozenset[Kind], *, every: bool) -> bool:
+    """Whether a storm has shown what it is there for: every one of these kinds, or one of each family."""
+    if every:
+        return kinds <= happened
+    return all(happened & set(family) for family in FAMILIES.values() if kinds & set(family))
 
 
 def _seconds(chance: random.Random, kind: Kind, longest_pause: float) -> float:
@@ -141,7 +153,7 @@ def _seconds(chance: random.Random, kind: Kind, longest_pause: float) -> float:
         return chance.uniform(0.0, 3.0)
     if kind is Kind.LINK_CUT:
         return chance.uniform(0.0, 2.0)
-    if kind in (Kind.FLOOD, Kind.STRANGERS, Kind.LINK_SLOW):
+    if kind in (Kind.FLOOD, Kind.STRANGERS, Kind.LINK_SLOW, *FAMILIES["disk"]):
         return chance.uniform(2.0, 5.0)
     if chance.random() < 0.5:
         return chance.uniform(0.5, LEASE_SECONDS - 1.5)

@@ -9,13 +9,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from tests.chaos.cutter import Cutter
+from tests.chaos.disk import Disk
 from tests.chaos.evidence import Evidence
-from tests.chaos.faults import Faults
+from tests.chaos.faults import Faults, within
 from tests.chaos.observer import Observer
 from tests.chaos.outages import Outage
 from tests.chaos.processes import Ending, Service, Supervisor
-from tests.chaos.run import EVALUATOR, LEARNER, StormyRun
-from tests.chaos.schedule import Group, schedule
+from tests.chaos.run import EVALUATOR, LEARNER, ROUTER, StormyRun
+from tests.chaos.schedule import FAMILIES, Group, Kind, complete, schedule
 
 START_SECONDS = 240.0
 """Within which everybody works; a busy machine compiles for long."""
@@ -50,25 +51,31 @@ class Observed:
     failures: list[str] = field(default_factory=list)
 
 
-def storm(run: StormyRun, seed: int, seconds: float, say: Callable[[str], None]) -> Observed:
-    """Run it for so many seconds after everybody works; afterwards no process is left."""
+def storm(run: StormyRun, disk: Disk, seed: int, seconds: float, say: Callable[[str], None]) -> Observed:
+    """Run it for so many seconds after everybody works; afterwards no process is left.
+
+    It takes longer if what has to come has not: something of each family, in a long storm every kind.
+    """
     with ExitStack() as stack:
-        cutter = stack.enter_context(Cutter(run.port, [*run.actors, EVALUATOR]))
+        cutter = stack.enter_context(Cutter(run.next_ports))
         services = {service.name: service for service in run.services(cutter.links)}
         for service in services.values():
             service.start()
         stack.enter_context(Supervisor(list(services.values())))
         observer = stack.enter_context(Observer(run, START_SECONDS))
         evidence = Evidence(run.evidence)
-        faults = Faults(run, services, cutter.links, observer, evidence)
+        faults = Faults(run, disk, services, cutter.links, observer, evidence)
         _await_everybody(run, faults)
         began, updates = time.monotonic(), observer.metrics("learner", LEARNER).get("updates", 0.0)
         say("everybody works; the storm begins")
         longest = LONG_PAUSE if run.long else SHORT_PAUSE
+        kinds = possible_kinds(disk)
+        happened: set[Kind] = set()
         outages = []
-        for group in schedule(seed, list(run.actors), EVALUATOR, longest_pause=longest):
-            if time.monotonic() - began >= seconds:
+        for group in schedule(seed, run.targets, kinds, longest_pause=longest):
+            if time.monotonic() - began >= seconds and complete(happened, kinds, every=run.long):
                 break
+            happened.update(fault.kind for fault in group.faults)
             outages.append(_come_over(group, faults, say))
         _recover(outages[-1:], faults)
         ended = time.monotonic()
@@ -90,6 +97,11 @@ def storm(run: StormyRun, seed: int, seconds: float, say: Callable[[str], None])
     )
 
 
+def possible_kinds(disk: Disk) -> frozenset[Kind]:
+    """Return what can go wrong here: a disk that could not be mounted does not get full."""
+    return frozenset(Kind) - frozenset(() if disk.permitted else FAMILIES["disk"])
+
+
 def _await_everybody(run: StormyRun, faults: Faults) -> None:
     """Wait until every actor's chunks are acknowledged, training has begun and the evaluator speaks."""
 
@@ -100,7 +112,7 @@ def _await_everybody(run: StormyRun, faults: Faults) -> None:
             and faults.observer.metrics("learner", LEARNER).get("updates", 0.0) > 0
         )
 
-    if not _within(START_SECONDS, works):
+    if not within(START_SECONDS, works):
         raise TimeoutError(f"the run did not work within {START_SECONDS:.0f} s: see {run.logs}")
 
 
@@ -130,7 +142,7 @@ def _recover(outages: list[Outage], faults: Faults) -> None:
         def all_work(hit: tuple = hit, since: float = outage.ended) -> bool:
             return all(faults.recovered(fault, since) for fault in hit)
 
-        if _within(RECOVERY_SECONDS, all_work):
+        if within(RECOVERY_SECONDS, all_work):
             outage.recovered = time.monotonic()
         else:
             what = " and ".join(f"{fault.kind} ({fault.target})" for fault in hit)
@@ -139,22 +151,13 @@ def _recover(outages: list[Outage], faults: Faults) -> None:
 
 def _end(services: dict[str, Service]) -> list[str]:
     """Let the actors hand over what they have, then everybody else end; what did not end as it should."""
-    learner, evaluator = services[LEARNER], services[EVALUATOR]
-    actors = [service for service in services.values() if service not in (learner, evaluator)]
+    learner, evaluator, router = services[LEARNER], services[EVALUATOR], services[ROUTER]
+    actors = [service for service in services.values() if service not in (learner, evaluator, router)]
     failures = []
-    for together in (actors, [evaluator], [learner]):
+    for together in (actors, [evaluator], [router], [learner]):
         with ThreadPoolExecutor(len(together)) as pool:
             codes = list(pool.map(lambda service: service.stop(END_SECONDS), together))
         for service, code in zip(together, codes, strict=True):
             if code != 0:
                 failures.append(f"{service.name} ended with {code} instead of 0: {service.last_line()}")
     return failures
-
-
-def _within(seconds: float, condition: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.05)
-    return True

@@ -134,7 +134,7 @@ def linked() -> Iterator[tuple[Link, socket.socket, socket.socket]]:
     """A link with the service's end and the learner's end of one connection through it."""
     with ExitStack() as stack:
         learner = stack.enter_context(socket.create_server((HOST, 0)))
-        cutter = stack.enter_context(Cutter(learner.getsockname()[1], ["a"]))
+        cutter = stack.enter_context(Cutter({"a": learner.getsockname()[1]}))
         link = cutter.links["a"]
         service = stack.enter_context(socket.create_connection((HOST, link.port), timeout=20.0))
         accepted = stack.enter_context(learner.accept()[0])

@@ -30,8 +30,8 @@ class WitnessedWindow(UploadWindow):
 
     descriptor = -1
 
-    def __init__(self, capacity: int) -> None:
-        super().__init__(capacity)
+    def __init__(self) -> None:
+        super().__init__()
         self._known: dict[int, tuple[Identity, Content]] = {}
         self._last: Identity | None = None
 
@@ -43,10 +43,11 @@ class WitnessedWindow(UploadWindow):
             self._tell("produced", sequence)
         super().put(sequence, encoded)
 
-    def acknowledge(self, next_sequence: int) -> None:
+    def acknowledge(self, next_sequence: int) -> int:
         before = list(self._held)
-        super().acknowledge(next_sequence)
+        settled = super().acknowledge(next_sequence)
         self._settle("acknowledged", before)
+        return settled
 
     def give_up(self, sequence: int) -> None:
         before = list(self._held)
