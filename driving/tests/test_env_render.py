@@ -134,6 +134,11 @@ def test_a_vector_renders_what_gymnasiums_own_vector_of_single_environments_does
     assert (frames[0][0] != frames[0][1]).any()
 
 
+def test_an_unknown_way_to_render_is_refused_in_one_line() -> None:
+    with pytest.raises(ValueError, match=r"^render_mode is 'ansi', it should be None, 'human' or.*$"):
+        TownEnv(render_mode="ansi")
+
+
 def test_a_vector_has_no_window_of_its_own() -> None:
     with pytest.raises(ValueError, match=r"^render_mode is 'human', it should be None or 'rgb_array'.*$"):
         TownVectorEnv(2, render_mode="human")

@@ -1,6 +1,8 @@
 """The ONNX runner against hand-written graphs and against a planner's own export."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -163,3 +165,10 @@ def test_values_that_are_not_finite_are_refused():
     states["trajectory"][:] = np.inf
     with pytest.raises(InvalidPolicy, match="not finite"):
         policy.step(*observe(1), states)
+
+
+def test_without_its_extra_the_missing_package_is_named_with_how_to_get_it() -> None:
+    program = "import sys; sys.modules['onnxruntime'] = None; import athrl_driving.policy"
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 1
+    assert result.stderr.splitlines()[-1].endswith("pip install 'athrl-driving[policy]'")

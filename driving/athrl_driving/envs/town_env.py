@@ -15,6 +15,7 @@ from athrl_driving.envs.observation import BirdEyeObservation
 from athrl_driving.envs.row import TownRow
 from athrl_driving.envs.settings import DEFAULTS, changed_settings, first_settings, new_episodes, town_of
 from athrl_driving.episode import BEGIN, DRIVE, SEE, TAKE, TICK, Episodes
+from athrl_driving.errors import DrivingError
 from athrl_driving.maps import Town
 from athrl_driving.reward import REWARD_TERMS
 from athrl_driving.route import Route
@@ -56,6 +57,8 @@ class TownEnv(AbstractEnv):
         map: str | None = None,
         scenario: str | None = None,
     ) -> None:
+        if render_mode not in (None, "human", "rgb_array"):
+            raise DrivingError(f"render_mode is {render_mode!r}, it should be None, 'human' or 'rgb_array'")
         self._map = map
         self._scenario = scenario
         super().__init__(config, render_mode)

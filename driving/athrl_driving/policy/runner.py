@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
+
+try:
+    import onnxruntime
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "a policy runs with onnxruntime, which is not installed: pip install 'athrl-driving[policy]'",
+        name=error.name,
+    ) from None
 
 from athrl_driving.policy.metadata import InvalidPolicy, LevelMetadata, PolicyMetadata, parse_metadata
 
