@@ -4,6 +4,10 @@ Each actor has a Zenoh session, a presence, metrics and an uploader of its own, 
 does; it only drives nothing, and takes no policies. Some hundred share a process. The learner's side is its
 intake, log and replay, its watch over who is there, and state and metrics once a second, without training.
 The actors' metrics are heard by a process of its own, as an evaluator or a viewer hears them.
+
+What is counted: joining, from the word to begin, which the processes get once Python and its libraries have
+started, until the last actor has its name; being heard, from the word to send, which all get when all have
+joined, until a chunk of each is stored.
 """
 
 from __future__ import annotations
@@ -49,7 +53,7 @@ class Crowd:
     """The processes of the actors."""
 
     def __init__(self, address: str, actors: int, processes: int, transitions_per_second: float) -> None:
-        """Start them; each joins its actors one after the other."""
+        """Start them, and return when all are ready to join their actors, each one after the other."""
         share, rate = actors // processes, transitions_per_second / actors / STEPS
         command = [sys.executable, "-m", "benchmarks.light_crowd", address]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
@@ -57,18 +61,24 @@ class Crowd:
             subprocess.Popen([*command, str(number * share), str(share), str(rate)], **pipes)
             for number in range(processes)
         ]
+        self._words()
 
-    def wait_until_joined(self) -> None:
-        """Return when every actor has joined the run."""
-        for process in self._processes:
-            if process.stdout.readline() != b"ready\n":
-                sys.exit("a crowd could not be started")
+    def join(self) -> float:
+        """Let them join; return when every actor has, with the seconds of a core that took them in all."""
+        self.begin()
+        return sum(float(word) for word in self._words())
 
     def begin(self) -> None:
-        """Let them send."""
+        """Let them do what is next: join, or send."""
         for process in self._processes:
             process.stdin.write(b"\n")
             process.stdin.flush()
+
+    def _words(self) -> list[bytes]:
+        words = [process.stdout.readline() for process in self._processes]
+        if not all(words):
+            sys.exit("a crowd could not be started")
+        return words
 
     def end(self) -> list[dict[str, Any]]:
         """Let them stop; what each process reports."""
@@ -148,11 +158,12 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
         ChunkIntake(session, RUN, store) as intake,
         listener(address) as actors_heard,
     ):
-        began, memory_alone = time.monotonic(), resident_mebibytes()
+        memory_alone = resident_mebibytes()
         crowd = Crowd(address, arguments.actors, arguments.processes, arguments.transitions)
         with contextlib.closing(crowd):
-            crowd.wait_until_joined()
-            joined = time.monotonic() - began
+            began, joining = time.monotonic(), time.process_time()
+            actors_joining = crowd.join()
+            joined, joining = time.monotonic() - began, time.process_time() - joining
             print(f"{arguments.actors} actors joined in {joined:.0f} s", flush=True)
             crowd.begin()
             began, busy = time.monotonic(), time.process_time()
@@ -178,6 +189,8 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
         "present": present,
         "reporting": reporting,
         "joined_s": joined,
+        "learner_ms_a_joining": 1000 * joining / arguments.actors,
+        "actor_ms_a_joining": 1000 * actors_joining / arguments.actors,
         "all_heard_s": heard,
         "transitions_per_second": taken / elapsed,
         "ack_p50_s": float(np.quantile(waits, 0.5)),

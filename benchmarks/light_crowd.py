@@ -1,8 +1,9 @@
 """Many actors that drive nothing in one process, each with session, presence, metrics and uploader.
 
-Arguments: address, name of the first, how many, chunks a second of each. Says "ready" when all have joined
-the run, begins when it reads a line, and ends when its input is closed; then it says as a JSON object how
-long acknowledgements took, in seconds, and what became of the chunks.
+Arguments: address, name of the first, how many, chunks a second of each. Says "loaded" once Python has
+started, joins the run one by one when it reads a line, and says then how many seconds of a core that took.
+Begins to send when it reads another line, and ends when its input is closed; then it says as a JSON object
+how long acknowledgements took, in seconds, and what became of the chunks.
 """
 
 from __future__ import annotations
@@ -81,12 +82,15 @@ def main(address: str, first: str, count: str, chunks_per_second: str) -> None:
     # Each thread that waits for the interpreter asks for it so often; hundreds of them would do nothing else.
     sys.setswitchinterval(0.1)
     chunk, stop = made_up_chunk(STEPS), threading.Event()
+    print("loaded", flush=True)
+    sys.stdin.readline()
+    busy = time.process_time()
     with ExitStack() as stack:
         names = range(int(first), int(first) + int(count))
         actors = [
             LightActor(address, f"actor-{number}", 1 / float(chunks_per_second), stack) for number in names
         ]
-        print("ready", flush=True)
+        print(time.process_time() - busy, flush=True)
         sys.stdin.readline()
         busy = time.process_time()
         threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()

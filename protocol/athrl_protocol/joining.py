@@ -13,14 +13,14 @@ import zenoh
 
 from athrl_protocol.announcements import fetch_run_file
 from athrl_protocol.errors import LearnerNotFound, NameTaken
-from athrl_protocol.presence import PresenceWatcher, announce_presence
+from athrl_protocol.presence import PresenceGlance, announce_presence
 from athrl_protocol.run_file import NetworkSection, RunFile
 from athrl_protocol.session import open_session
 
 NAME_SECONDS = 8.0  # longer than a service that hung or lost its network keeps its name (the session's lease)
 NOTICE_SECONDS = 3.0  # without a learner until somebody at a terminal is told what is waited for
-BEHIND_SECONDS = 0.02  # by which one watcher's thread may be behind another's
 PRESENCE_SECONDS = 2.0  # within which those present, at least the learner, have shown
+GLANCE_SECONDS = 0.005
 
 log = logging.getLogger(__name__)
 
@@ -70,12 +70,11 @@ def _take_name(
 ) -> bool:
     """Announce the service under its name once nobody else has it; False if `stop` was set meanwhile."""
     with (
-        PresenceWatcher(session, run, role=role, name=name) as namesake,
-        PresenceWatcher(session, run, role="learner") as learners,  # after it, so that it is told after it
+        PresenceGlance(session, run, role, name) as namesake,
+        PresenceGlance(session, run, "learner") as learner,  # after it, so that it is told after it
     ):
-        _wait_until(lambda: bool(learners.present()), PRESENCE_SECONDS, stop)
-        stop.wait(BEHIND_SECONDS)
-        free = _wait_until(lambda: not namesake.present(), NAME_SECONDS, stop)
+        _wait_until(learner.is_anybody_there, PRESENCE_SECONDS, stop)
+        free = _wait_until(lambda: not namesake.is_anybody_there(), NAME_SECONDS, stop)
     if stop.is_set():
         return False
     if not free:
@@ -88,6 +87,6 @@ def _wait_until(reached: Callable[[], bool], seconds: float, stop: threading.Eve
     """Wait until something is so; whether it is, once the time is over or `stop` is set."""
     deadline = time.monotonic() + seconds
     while not reached():
-        if time.monotonic() > deadline or stop.wait(0.02):
+        if time.monotonic() > deadline or stop.wait(GLANCE_SECONDS):
             return reached()
     return True

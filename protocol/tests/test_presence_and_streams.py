@@ -30,6 +30,7 @@ from athrl_protocol import (
     subscribe_frames,
 )
 from athrl_protocol.keys import role_and_name_of
+from athrl_protocol.presence import PresenceGlance
 
 PATIENCE = 30.0
 RUN = "presence"
@@ -171,11 +172,11 @@ def test_who_joins_is_told_of_the_learner_and_of_namesakes_only(
 ) -> None:
     """Told of everybody, a thousand that join would take a million messages."""
     told: list[tuple[str, str]] = []
-    note = PresenceWatcher._note
+    note = PresenceGlance._note
 
-    def noting(watcher: PresenceWatcher, sample: zenoh.Sample) -> None:
+    def noting(glance: PresenceGlance, sample: zenoh.Sample) -> None:
         told.append(role_and_name_of(str(sample.key_expr)))
-        note(watcher, sample)
+        note(glance, sample)
 
     learner, others = listen(), connect()
     with contextlib.ExitStack() as stack:
@@ -184,8 +185,7 @@ def test_who_joins_is_told_of_the_learner_and_of_namesakes_only(
         for number in range(20):
             stack.enter_context(announce_presence(others, RUN, "actor", f"actor-{number}"))
         assert everybody.wait_for(lambda present: len(present) == 21, PATIENCE)
-        monkeypatch.setattr(PresenceWatcher, "_note", noting)
-        everybody.close()
+        monkeypatch.setattr(PresenceGlance, "_note", noting)
         assert joining._take_name(connect(), RUN, "actor", "new", threading.Event(), stack)
         assert set(told) == {("learner", "learner")}
         monkeypatch.setattr(joining, "NAME_SECONDS", 0.1)
