@@ -35,7 +35,7 @@ class ResultsFolder:
         """Append one result to `evaluations.jsonl`; what a full disk does not take goes with the next one."""
         self._unwritten.append(json.dumps(asdict(result)) + "\n")
         try:
-            _append("".join(self._unwritten).encode(), self._lines)
+            append("".join(self._unwritten).encode(), self._lines)
         except OSError as error:
             log.warning("cannot write %s: %s; the result is kept for later", self._lines, error.strerror)
         else:
@@ -65,7 +65,7 @@ class ResultsFolder:
                 part.unlink(missing_ok=True)
 
 
-def _append(content: bytes, path: Path) -> None:
+def append(content: bytes, path: Path) -> None:
     """Append to a file all or nothing; raises OSError."""
     with path.open("ab", buffering=0) as stream:
         size = stream.seek(0, os.SEEK_END)

@@ -57,7 +57,6 @@ class Scoring:
         self._broadcast = broadcast
         self.episodes_done = 0
         self.files = EventFiles(folder.tensorboard)
-        stack.callback(self.files.close)
         self._batch = make_batch(
             run_file.environment,
             min(ENVIRONMENTS, self._settings.episodes),

@@ -12,10 +12,12 @@ from athrl_evaluator.drivers import ReferenceDriver
 from athrl_evaluator.episodes import drive_episodes
 from athrl_evaluator.errors import EvaluatorError
 from athrl_evaluator.evaluate import make_batch
+from athrl_evaluator.event_files import EventFiles
 from athrl_evaluator.onlookers import Recorder
 from athrl_evaluator.results import ResultsFolder
 from athrl_protocol import EvaluationResult
 from athrl_protocol.run_file import EnvironmentSection
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 ENVIRONMENT = EnvironmentSection(vehicles=5, episode_ticks=40)
 
@@ -56,6 +58,21 @@ def test_a_run_is_scored_though_its_recordings_do_not_fit(small_disk, caplog):
     assert len(results) == 3
     assert caplog.text.count("is not recorded any more") == 1
     assert not list(small_disk.glob("*.mcap*"))
+
+
+def test_curves_have_a_hole_where_the_disk_was_full_and_go_on_behind_it(small_disk, caplog):
+    files = EventFiles(small_disk / "tensorboard")
+    ballast = fill(small_disk)
+    (small_disk / "rest").write_bytes(bytes(shutil.disk_usage(small_disk).free))
+    for step in range(50):
+        files.add("learner", {"loss": float(step)}, step, 1.0)
+    assert caplog.text.count("No space left on device; curves go on when it can") == 1
+    ballast.unlink()
+    files.add("learner", {"loss": 7.0}, 100, 2.0)
+    read = EventAccumulator(str(small_disk / "tensorboard"))
+    read.Reload()
+    points = [(point.step, point.value) for point in read.Scalars("learner/loss")]
+    assert points == [(100, 7.0)]
 
 
 def test_a_result_that_the_disk_does_not_take_is_written_when_there_is_room(small_disk, caplog):
