@@ -14,8 +14,8 @@ always go on: were both refused, the band would have to be narrower than one ins
 
 A learner that was killed takes in again what came after its newest checkpoint, and owes all training on it.
 Were the bound to hold at once, the actors would stand still until that is made up for, minutes perhaps. So
-what is owed beyond the bound then is arrears: the bound is wider by so much, and of what is trained half pays
-them off while the other half is for what comes in.
+what is owed beyond the bound then is arrears: the bound is wider by so much and by one insert, and of what is
+trained half pays them off while the other half is for what comes in.
 """
 
 from __future__ import annotations
@@ -105,8 +105,11 @@ class SamplesPerInsert:
         self.arrears = max(0.0, self.arrears - _FOR_ARREARS * count)
 
     def go_on(self) -> None:
-        """All that came before is counted: what is owed beyond the bound is paid off little by little."""
-        self.arrears = max(0.0, self.surplus - self.error_bound)
+        """All that came before is counted: what is owed beyond the bound is paid off little by little.
+
+        One more insert is permitted at once, so that nobody waits for the training that makes room for it.
+        """
+        self.arrears = max(0.0, self.surplus + self.ratio * self.largest_insert - self.error_bound)
 
     def close(self) -> None:
         """No more inserts will come; sampling may go on until nothing is owed."""
