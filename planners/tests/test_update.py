@@ -24,6 +24,13 @@ def flatten(state: Any) -> list[torch.Tensor]:
     return [tensor for part in state for tensor in flatten(part)] if isinstance(state, (list, tuple)) else []
 
 
+def gradients(state: dict[str, Any]) -> list[torch.Tensor]:
+    """A tenth of all gradients of the first update: the first moments of the optimisers."""
+    optimisers = [part for level in state["levels"].values() for part in level.values() if "state" in part]
+    assert optimisers
+    return [moments["exp_avg"] for part in optimisers for moments in part["state"].values()]
+
+
 def equal(one: Any, other: Any) -> bool:
     ours, theirs = flatten(one), flatten(other)
     return len(ours) == len(theirs) and all(map(torch.equal, ours, theirs))
@@ -65,8 +72,9 @@ def test_a_padded_sequence_trains_like_one_without_padding(
         rewards={level: column[:3] for level, column in padded.rewards.items()},
     )
     one, other = after(stack([padded]), updates=1), after(stack([short]), updates=1)
-    for a, b in zip(flatten(one), flatten(other), strict=True):
-        torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-4)
+    # Not the weights: Adam's first step is as long for a gradient that is mere rounding as for any other.
+    for a, b in zip(gradients(one), gradients(other), strict=True):
+        torch.testing.assert_close(a, b, atol=1e-6, rtol=1e-4)
 
 
 def test_a_sequence_never_learns_from_its_neighbour_in_the_batch(
