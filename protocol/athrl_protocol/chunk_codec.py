@@ -48,7 +48,7 @@ def encode_chunk(chunk: Chunk, compression: Compression = "zstd") -> bytes:
 
 
 class Identity(NamedTuple):
-    """What an uploader makes of a chunk's own identity."""
+    """As what a chunk is sent: by whom, as which of theirs, and what else they hold."""
 
     actor: str
     incarnation: int
