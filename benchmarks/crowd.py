@@ -219,7 +219,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--actors", type=int, default=1000)
-    parser.add_argument("--processes", type=int, default=20)
+    parser.add_argument("--processes", type=int, default=5)
     parser.add_argument("--transitions", type=float, default=5000, help="a second, of all actors together")
     parser.add_argument("--seconds", type=float, default=20.0)
     arguments = parser.parse_args()

@@ -1,10 +1,12 @@
 """How soon a run goes on after each fault: killed, paused for longer than the lease, cut off.
 
 A real run, each service a process of its own: learner, an actor at the learner, one behind a router, an
-evaluator. The clock starts when the last one that was hit returns: the successor of a killed process is
-started, a paused one goes on, the network is mended. The run goes on when a chunk of every actor that was hit
-is in the learner's log and the count of updates rises; an evaluator when it says something again. At the end
-every chunk has to be in the log once, and no fewer than the actors were told.
+evaluator. The clock starts when a paused one goes on, the network is mended, or the successor of a killed
+process is started. Of the last it is told, too, when it is there: has loaded everything and takes part under
+its name, which is most of the time on a machine that is busy with the rest of the run; for comparison a
+Python is started beside the run that loads nothing but the libraries. The run goes on when a chunk of every
+actor that was hit is in the learner's log and the count of updates rises; an evaluator when it says something
+again. At the end every chunk has to be in the log once, and all that the actors were told of.
 
     python -m benchmarks.recovery                   about seven minutes
     python -m benchmarks.recovery --pause 8 --rounds 1
@@ -21,13 +23,15 @@ import json
 import os
 import signal
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from athrl_protocol import PolicySubscriber, PolicyUpdate
+from athrl_protocol import PolicySubscriber, PolicyUpdate, PresenceWatcher
 
 from benchmarks.router import free_address
 from tests.conftest import Command
@@ -48,6 +52,7 @@ SETTINGS = {
     "evaluator.episodes": 2,
     "evaluator.seconds_between": 0.0,
 }
+_LIBRARIES = ("torch", "numba, gymnasium, onnxruntime")  # a learner's; an actor's and an evaluator's
 _POLL = 0.01
 _CALM = 5.0  # between two faults
 _PATIENCE = 120.0
@@ -73,12 +78,27 @@ class Updates:
         return next((at for at, updates in self._told if at > moment and updates > known), None)
 
 
+class Arrivals:
+    """When each service was last seen to come."""
+
+    def __init__(self) -> None:
+        self.at: dict[str, float] = {}
+        self._present: frozenset[str] = frozenset()
+
+    def take(self, present: frozenset[tuple[str, str]]) -> None:
+        """Hear of a change."""
+        names = frozenset(name for _, name in present)
+        self.at |= dict.fromkeys(names - self._present, time.monotonic())
+        self._present = names
+
+
 class Trial:
-    """A fleet at work, and what was measured on it."""
+    """A fleet at work, and what was measured on it: when the run goes on, and when a killed one is there."""
 
     def __init__(self, fleet: Fleet) -> None:
         self.fleet = fleet
         self.updates = Updates()
+        self.arrivals = Arrivals()
         self.seconds: defaultdict[str, list[dict[str, float]]] = defaultdict(list)
 
     def kill(self, name: str, actors: Iterable[str]) -> None:
@@ -92,6 +112,13 @@ class Trial:
         time.sleep(seconds)
         go_on = lambda: self.fleet.signal([name], signal.SIGCONT)  # noqa: E731
         self._measure(f"{name} paused {seconds:g} s", go_on, actors, name)
+
+    def load_alone(self, libraries: str) -> None:
+        """Start a Python beside the run that does nothing but load these: no successor is there before."""
+        began = time.monotonic()
+        subprocess.run([sys.executable, "-c", f"import {libraries}"], check=True, timeout=_PATIENCE)
+        after = {"all": time.monotonic() - began}
+        self.seconds[f"(import {libraries})"].append(after)
 
     def cut(self, island: network.Network, seconds: float) -> None:
         """Let nothing through to an actor and a router, the distant actor's."""
@@ -115,12 +142,15 @@ class Trial:
             heard = who != "evaluator" or self.fleet.heard_at["evaluator"] > began
             if who == "evaluator" and heard:
                 after["words"] = self.fleet.heard_at["evaluator"] - began
-            if not waiting and rose is not None and heard:
+            there = "killed" not in fault or self.arrivals.at[who] > began
+            if not waiting and rose is not None and heard and there:
                 break
             if now - began > _PATIENCE:
                 raise SystemExit(f"the run does not go on\n{self.fleet.story(self.fleet.processes)}")
             time.sleep(_POLL)
         after["all"] = max(after.values())
+        if "killed" in fault:
+            after["there"] = self.arrivals.at[who] - began
         self.seconds[fault].append(after)
         print(f"{fault:28s}", "  ".join(f"{name} {value:6.2f}" for name, value in after.items()), flush=True)
         time.sleep(_CALM)
@@ -140,7 +170,9 @@ def whole_run(folder: Path, island: network.Network | None) -> Iterator[Fleet]:
     try:
         fleet.start_learner()
         fleet.start_client(NEAR, "actor", within=within)
-        fleet.start("router", "router", "--listen", router, "--connect", address, within=within)
+        fleet.start(
+            "router", "router", "--listen", router, "--connect", address, "--name", "router", within=within
+        )
         fleet.start_client(DISTANT, "actor", router, within=within)
         if island is None:
             fleet.start_client("evaluator", "evaluator", router)
@@ -153,7 +185,11 @@ def whole_run(folder: Path, island: network.Network | None) -> Iterator[Fleet]:
 def at_work(fleet: Fleet) -> Iterator[Trial]:
     """Wait until everybody works, and let them leave at the end, which checks every chunk."""
     trial = Trial(fleet)
-    with fleet.watch() as session, PolicySubscriber(session, RUN, trial.updates.take):
+    with (
+        fleet.watch() as session,
+        PolicySubscriber(session, RUN, trial.updates.take),
+        PresenceWatcher(session, RUN, trial.arrivals.take),
+    ):
         fleet.await_storing(ACTORS, fleet.mark(), STARTING)
         if "evaluator" in fleet.processes:
             fleet.await_word("evaluator", STARTING)
@@ -178,6 +214,8 @@ def faults_of_processes(rounds: int, pause: float) -> dict[str, list[dict[str, f
         for _ in range(rounds):
             for name, actors in hit.items():
                 trial.kill(name, actors)
+            for libraries in _LIBRARIES:
+                trial.load_alone(libraries)
         for name, actors in hit.items():
             trial.stand_still(name, actors, pause)
     return dict(trial.seconds)
@@ -196,6 +234,13 @@ def partition(cuts: Iterable[float]) -> dict[str, list[dict[str, float]]]:
     return dict(trial.seconds)
 
 
+def _row(measured: list[dict[str, float]]) -> dict[str, float]:
+    every = [after["all"] for after in measured]
+    there = [after["there"] for after in measured if "there" in after]
+    row = {"times": len(every), "median_s": statistics.median(every), "worst_s": max(every)}
+    return row | ({"there_s": statistics.median(there)} if there else {})
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -205,6 +250,7 @@ def main() -> None:
         "--cuts", type=float, nargs="+", help="only cut the network, for so many seconds each"
     )
     arguments = parser.parse_args()
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # an installation has its modules compiled
     reason = network.why_not()
     if reason and arguments.cuts:
         parser.error(f"no network can be cut: {reason}")
@@ -213,12 +259,12 @@ def main() -> None:
         print(f"no network is cut: {reason}")
     else:
         seconds |= partition(arguments.cuts or [arguments.pause])
-    print("| fault | times | goes on after, s, median | worst |\n|---|---|---|---|")
+    print("| fault | times | there again, s | goes on after, s, median | worst |\n|---|---|---|---|---|")
     rows = {}
     for fault, measured in seconds.items():
-        every = [after["all"] for after in measured]
-        rows[fault] = {"times": len(every), "median_s": statistics.median(every), "worst_s": max(every)}
-        print(f"| {fault} | {len(every)} | {rows[fault]['median_s']:.1f} | {rows[fault]['worst_s']:.1f} |")
+        rows[fault] = row = _row(measured)
+        there = f"{row['there_s']:.1f}" if "there_s" in row else ""
+        print(f"| {fault} | {len(measured)} | {there} | {row['median_s']:.1f} | {row['worst_s']:.1f} |")
     rounded = {fault: {name: round(value, 2) for name, value in row.items()} for fault, row in rows.items()}
     print(json.dumps({"cores": os.cpu_count(), "load": round(os.getloadavg()[0], 1), "seconds": rounded}))
 

@@ -4,10 +4,13 @@ The actor is the real one, in this process: environments, perception, exploratio
 ONNX Runtime, chunks, upload. Its learner is a process of its own which takes chunks in, writes them down and
 acknowledges them, without training; it shares the machine. In turns the actor streams, and drives the same
 environments without gathering, encoding or sending anything. A decision's cost is told by thread: gathering
-is what the driving thread takes beyond driving, with a check of each chunk; the uploader's thread encodes,
-sends and hears answers; Zenoh's own threads are the network. Each figure is the median over many pairs of
-short turns, one of each kind right after the other, as other work on the machine comes and goes. Check,
-encoding and, within that, compression are measured alone as well, on chunks that were sent.
+is what the driving thread does of it, with a check of each chunk; the uploader's thread encodes, sends and
+hears answers; Zenoh's own threads are the network. These are counted as they work. Inference and simulation
+beside them may be slower, or faster, than alone, by caches and cores that they share with both and with the
+learner: that is told apart, as the difference between turns, which is far less certain. Each figure is the
+median over many pairs of short turns, one of each kind right after the other, as other work on the machine
+comes and goes. Check, encoding and, within that, compression are measured alone as well, on chunks that were
+sent.
 """
 
 from __future__ import annotations
@@ -95,11 +98,15 @@ class SilentRollout(Rollout):
 
     silent = False
     kept: list[Chunk]
+    gathering: float
+    """CPU seconds of this thread in gathering so far."""
 
     def _cut(self, *arguments: object) -> list[Chunk]:
         if self.silent:
             return []
+        began = time.thread_time()
         chunks = super()._cut(*arguments)
+        self.gathering += time.thread_time() - began
         self.kept = (self.kept + chunks)[-64:]
         return chunks
 
@@ -110,6 +117,7 @@ class Turn(NamedTuple):
     decisions: int
     clock: float
     busy: dict[str, float]
+    gathering: float
 
     @property
     def cpu(self) -> float:
@@ -142,7 +150,7 @@ class Measured:
         rollout = actor._rollout
         rollout.__class__ = SilentRollout
         assert isinstance(rollout, SilentRollout)
-        rollout.kept = []
+        rollout.kept, rollout.gathering = [], 0.0
         self.rollout = rollout
         self._upload = actor._uploader._thread.native_id
 
@@ -164,13 +172,15 @@ class Measured:
             self._actor._hand_over(self.rollout.flush())
             self._actor._uploader.flush(_PATIENCE)
         self.rollout.silent = not streaming
+        self.rollout.gathering = 0.0
         before, began = busy_by_thread(main, self._upload), time.perf_counter()
         decisions = self._drive(_TURN_SECONDS)
         clock, after = time.perf_counter() - began, busy_by_thread(main, self._upload)
+        gathering = 1e6 * self.rollout.gathering / decisions
         self.rollout.silent = False
         self.rollout.abandon(range(len(self._actor._batch)))  # what it drove in silence is no experience
         busy = {kind: 1e6 * (after[kind] - before[kind]) / decisions for kind in _KINDS}
-        return Turn(decisions, 1e6 * clock / decisions, busy)
+        return Turn(decisions, 1e6 * clock / decisions, busy, gathering)
 
     def _drive(self, seconds: float) -> int:
         """The loop of `Actor.run`; how many decisions it made."""
@@ -180,7 +190,10 @@ class Measured:
             actor._adopt_newest_policy()
             actor._report()
             if actor._may_drive():
-                actor._hand_over(actor._drive())
+                chunks = actor._drive()
+                began = time.thread_time()
+                actor._hand_over(chunks)
+                self.rollout.gathering += time.thread_time() - began
                 steps += 1
         return steps * len(actor._batch)
 
@@ -226,13 +239,24 @@ def compared(pairs: list[tuple[Turn, Turn]]) -> dict[str, float]:
     def more(kind: str) -> float:
         return median(lambda streamed, silent: streamed.busy[kind] - silent.busy[kind])
 
+    def own(streamed: Turn, silent: Turn) -> float:
+        return streamed.gathering + streamed.busy["upload"] + streamed.busy["network"] - idle(silent)
+
+    def idle(silent: Turn) -> float:
+        return silent.gathering + silent.busy["upload"] + silent.busy["network"]
+
     return {
-        "driving_us": median(lambda _, silent: silent.cpu),
-        "streaming_us": median(lambda streamed, silent: streamed.cpu - silent.cpu),
-        "share_of_cpu": median(lambda streamed, silent: 1 - silent.cpu / streamed.cpu),
-        "gathering_us": more("driving"),
+        "driving_us": median(lambda _, silent: silent.cpu - idle(silent)),
+        "streaming_us": median(own),
+        "share_of_cpu": median(
+            lambda streamed, silent: own(streamed, silent) / (own(streamed, silent) + silent.cpu)
+        ),
+        "gathering_us": median(lambda streamed, silent: streamed.gathering - silent.gathering),
         "upload_thread_us": more("upload"),
         "network_us": more("network"),
+        "slower_beside_it_us": median(
+            lambda streamed, silent: streamed.cpu - silent.cpu - own(streamed, silent)
+        ),
         "clock_driving_us": median(lambda _, silent: silent.clock),
         "clock_streaming_us": median(lambda streamed, silent: streamed.clock - silent.clock),
         "share_of_clock": median(lambda streamed, silent: 1 - silent.clock / streamed.clock),

@@ -185,6 +185,7 @@ def interrupt(command, runs: Path, name: str, how: signal.Signals, *, when: Call
         time.sleep(0.005)
     run.send_signal(how)
     assert run.wait(timeout=60) == (-how if how == signal.SIGKILL else 130), command.said(run)
+    assert (how == signal.SIGKILL) != ("stopping after this round" in command.said(run))
 
 
 def test_terminated_run_repeats_itself(command, runs: Path) -> None:

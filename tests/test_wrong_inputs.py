@@ -118,9 +118,22 @@ def test_policy_file_that_is_missing_is_named(command) -> None:
     assert_one_line(result, "gone.onnx", "random")
 
 
+@pytest.mark.parametrize("folder", ["README.md", "README.md/x", "/proc/nope"])
+def test_folder_for_recordings_that_cannot_be_made_is_named(command, folder: str) -> None:
+    (command.folder / "README.md").write_text("no folder")
+    words = ["--policy", "blind", "--episodes", "2", "--record", folder]
+    result = command.run("evaluate", *words, seconds=SECONDS)
+    assert_one_line(result, f"--record {folder}: ", "a folder that can be made and written into")
+
+
 def test_wrong_option_is_named(command) -> None:
     for words in (["evaluate"], ["evaluate", "--policy", "random", "--episodes", "1"], ["train", "--bogus"]):
         assert_one_line(command.run(*words, seconds=SECONDS), "--", f"athrl {words[0]} --help")
+
+
+def test_role_that_is_none_is_named_before_a_run_is_looked_for(command) -> None:
+    result = command.run("status", "--check", "nurse/one", seconds=SECONDS)
+    assert_one_line(result, "--check nurse/one", "it should be learner, actor, evaluator, router")
 
 
 def test_recording_that_is_none_is_named(command) -> None:
@@ -129,6 +142,16 @@ def test_recording_that_is_none_is_named(command) -> None:
 
 def test_run_that_cannot_be_resumed_is_named(command) -> None:
     assert_one_line(command.run("train", "--resume", "yesterday", seconds=SECONDS), "yesterday")
+
+
+def test_run_that_is_finished_is_named_with_what_makes_it_longer(command) -> None:
+    folder = command.folder / "runs" / "done"
+    folder.mkdir(parents=True)
+    settings = command.run("run-file", seconds=SECONDS).stdout
+    (folder / "run.toml").write_text(settings)
+    (folder / "evaluation.json").write_text('{"environment_steps": 30001}')
+    result = command.run("train", "--resume", "done", seconds=SECONDS)
+    assert_one_line(result, "runs/done is finished", "30001 of 30000", "--set run.environment_steps=60000")
 
 
 def test_port_in_use_is_named(command, tiny: list[str], port: int) -> None:
@@ -146,6 +169,17 @@ def test_gpu_that_is_not_there_is_named_before_anything_is_written(
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     result = command.run(*words, *tiny, "--set", "learner.device=cuda", seconds=SECONDS)
     assert_last_line(result, "learner.device is cuda", "learner.device to auto or cpu")
+    assert not list(command.folder.rglob("run.toml"))
+    assert not list(command.folder.rglob("checkpoints"))
+
+
+@pytest.mark.parametrize("words", [["learner"], ["train"], ["train", "--serial"]])
+def test_replay_beyond_the_machines_memory_is_refused_once_and_before_anything_is_written(
+    command, tiny: list[str], words: list[str]
+) -> None:
+    result = command.run(*words, *tiny, "--set", "replay.capacity=100000000000", seconds=SECONDS)
+    assert_last_line(result, "replay.capacity is 100000000000", "GiB of memory", "set it to less")
+    assert "started again" not in result.stdout
     assert not list(command.folder.rglob("run.toml"))
     assert not list(command.folder.rglob("checkpoints"))
 

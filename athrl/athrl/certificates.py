@@ -7,6 +7,7 @@ common name of its certificate; only those of learner and router may serve.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import ipaddress
 import os
@@ -70,6 +71,7 @@ def certificates(
 ) -> None:
     """Make an authority and a certificate for each role, so that a run's services know each other."""
     hosts = _hosts(names or [])
+    _require_folder(folder)
     if renew:
         made = renew_roles(folder, renew, hosts if names else None, days)
     elif if_missing:
@@ -77,7 +79,7 @@ def certificates(
     else:
         made = make_all(folder, hosts, days)
     for role in made:
-        certificate = _load_certificate(folder / role / CERTIFICATE_FILE)
+        certificate = load_certificate(folder / role / CERTIFICATE_FILE)
         print(f"{folder / role}: valid until {certificate.not_valid_after_utc:%Y-%m-%d}")
     if not made:
         print(f"{folder}: all certificates are there")
@@ -132,6 +134,13 @@ def renew_roles(folder: Path, roles: Iterable[str], hosts: Iterable[str] | None,
         names = list(hosts) if hosts is not None else _names_of(folder / role / CERTIFICATE_FILE)
         _write_role(folder / role, _new_role(authority, role, names, days), authority)
     return wanted
+
+
+def _require_folder(folder: Path) -> None:
+    """Refuse a path at which, or on the way to which, there is something else than a folder."""
+    there = next((place for place in (folder, *folder.parents) if os.path.lexists(place)), folder)
+    if os.path.lexists(there) and not os.path.isdir(there):
+        raise CommandError(f"{folder}: {there} is a file, it should be a folder, or a name that is free")
 
 
 def _hosts(given: Iterable[str]) -> list[str]:
@@ -228,7 +237,7 @@ def _is_due(role_folder: Path, authority: Identity) -> bool:
     """Whether a role has no certificate of this authority, or one that ends soon."""
     if not all((role_folder / file).exists() for file in (AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE)):
         return True
-    certificate = _load_certificate(role_folder / CERTIFICATE_FILE)
+    certificate = load_certificate(role_folder / CERTIFICATE_FILE)
     ends = certificate.not_valid_after_utc
     margin = min(datetime.timedelta(days=RENEWAL_DAYS), (ends - certificate.not_valid_before_utc) / 3)
     return (
@@ -245,14 +254,14 @@ def _has_names(role_folder: Path, names: Iterable[str]) -> bool:
 
 def _names_of(certificate_file: Path) -> list[str]:
     """Return the host names and addresses in a certificate."""
-    extension = _load_certificate(certificate_file).extensions.get_extension_for_class(
+    extension = load_certificate(certificate_file).extensions.get_extension_for_class(
         x509.SubjectAlternativeName
     )
     return [str(name.value) for name in extension.value]
 
 
 def _load_authority(folder: Path) -> Identity:
-    certificate = _load_certificate(folder / AUTHORITY / CERTIFICATE_FILE)
+    certificate = load_certificate(folder / AUTHORITY / CERTIFICATE_FILE)
     path = folder / AUTHORITY / KEY_FILE
     try:
         key = serialization.load_pem_private_key(path.read_bytes(), password=None)
@@ -265,7 +274,14 @@ def _load_authority(folder: Path) -> Identity:
     return Identity(key, certificate)
 
 
-def _load_certificate(path: Path) -> x509.Certificate:
+def common_name(certificate: x509.Certificate) -> str:
+    """Return the name in a certificate, which is its role; empty where there is none."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def load_certificate(path: Path) -> x509.Certificate:
+    """Read a certificate; raises CommandError, naming the file."""
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError as error:
@@ -304,5 +320,6 @@ def _write(path: Path, content: bytes, mode: int) -> None:
             os.fsync(file.fileno())
         part.replace(path)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # the cause may be that there can be no such file
+            part.unlink(missing_ok=True)
         raise CommandError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from None

@@ -5,16 +5,30 @@ from __future__ import annotations
 import logging
 import sys
 import traceback
+from collections.abc import Iterable
+from importlib import import_module
 from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
 
-from athrl import certificates, evaluate, router, run_file, services, status, watch
-from athrl.doctor import command as doctor
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
 from athrl.stopping import leave
-from athrl.train import command as train
+
+SUBCOMMANDS = {
+    "train": "athrl.train.command:train",
+    "learner": "athrl.services:learner",
+    "actor": "athrl.services:actor",
+    "evaluator": "athrl.services:evaluator",
+    "router": "athrl.router:router",
+    "evaluate": "athrl.evaluate:evaluate",
+    "watch": "athrl.watch:watch",
+    "status": "athrl.status:status",
+    "doctor": "athrl.doctor.command:doctor",
+    "certificates": "athrl.certificates:certificates",
+    "run-file": "athrl.run_file:run_file",
+}
+"""Where each is. Only the one that is wanted is loaded: a killed service is back so much sooner."""
 
 UsageError: Any = typer.BadParameter.__base__
 """Whatever is wrong with the words of a command line; typer has no public name for it."""
@@ -43,17 +57,10 @@ def _whole(
 ) -> None: ...
 
 
-app.command("train")(train.train)
-app.command("learner")(services.learner)
-app.command("actor")(services.actor)
-app.command("evaluator")(services.evaluator)
-app.command("router")(router.router)
-app.command("evaluate")(evaluate.evaluate)
-app.command("watch")(watch.watch)
-app.command("status")(status.status)
-app.command("doctor")(doctor.doctor)
-app.command("certificates")(certificates.certificates)
-app.command("run-file")(run_file.run_file)
+def _load(names: Iterable[str]) -> None:
+    for name in names:
+        module, _, function = SUBCOMMANDS[name].partition(":")
+        app.command(name)(getattr(import_module(module), function))
 
 
 def main() -> None:
@@ -69,14 +76,16 @@ def main() -> None:
 
 def _run() -> int:
     """Run the command; return its exit code."""
+    wanted = _subcommand()
     try:
+        _load([wanted] if wanted else SUBCOMMANDS)
         return app(prog_name="athrl", standalone_mode=False) or 0
     except UsageError as error:  # an option that is missing, unknown or out of its bounds
         if not error.format_message():  # without a subcommand the help has been shown
             return EXPECTED_ERROR
-        say(f"{str(error.format_message()).rstrip('.')}; see athrl {_subcommand()}--help")
+        say(f"{str(error.format_message()).rstrip('.')}; see athrl {f'{wanted} ' if wanted else ''}--help")
         return EXPECTED_ERROR
-    except typer.Abort:
+    except (typer.Abort, KeyboardInterrupt):
         return 130
     except expected_errors() as error:
         say(error)
@@ -84,5 +93,5 @@ def _run() -> int:
 
 
 def _subcommand() -> str:
-    names = {command.name for command in app.registered_commands}
-    return next((f"{word} " for word in sys.argv[1:2] if word in names), "")
+    """Return the subcommand of the command line, or nothing if there is none, or none of that name."""
+    return next((word for word in sys.argv[1:2] if word in SUBCOMMANDS), "")

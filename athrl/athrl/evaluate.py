@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -112,8 +114,13 @@ def _check_folder(folder: Path | None) -> None:
     try:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
+            if not os.access(folder, os.W_OK | os.X_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
-        raise CommandError(f"--record {folder}: {error.strerror}, it should be a folder") from None
+        cause = (error.strerror or str(error)).lower()
+        raise CommandError(
+            f"--record {folder}: {cause}, it should be a folder that can be made and written into"
+        ) from None
 
 
 def _driver(policy: str) -> str | Path:

@@ -24,6 +24,11 @@ def own_name() -> str:
     return host_name() if os.getpid() == 1 else f"{host_name()}-{os.getpid()}"
 
 
+def is_own_name(name: str) -> bool:
+    """Return whether a service of this host has such a name when nobody names it."""
+    return re.fullmatch(rf"{re.escape(host_name())}(-\d+)?", name) is not None
+
+
 def program(name: str) -> str:
     """Return how a program that was installed with this one is called: by its name, or where it lies."""
     if shutil.which(name) is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from athrl_protocol import Phase
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.progress_bar import ProgressBar
@@ -130,7 +131,7 @@ def _score(scores: dict[str, float]) -> str:
 
 def _eta(snapshot: RunSnapshot) -> str:
     state, rate = snapshot.state, snapshot.steps_per_second
-    if state is None or not rate:
+    if state is None or not rate or state.phase is Phase.WARMING_UP:  # as nobody trains, it is no measure
         return "-"
     seconds = max(state.environment_steps_target - state.environment_steps, 0) / rate
     return f"{int(seconds // 60)}:{int(seconds % 60):02d}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from contextlib import ExitStack
 from typing import Annotated
 
 import typer
@@ -22,7 +23,11 @@ from athrl_protocol import (
     fetch_run_file,
     open_session,
 )
+from athrl_protocol.address import complete_address
+from athrl_protocol.certificates import find_certificates
+from athrl_protocol.leaving import await_what_is_on_its_way
 from athrl_protocol.limits import largest_chunk_of
+from athrl_protocol.reconnection import Reconnection
 from athrl_protocol.session import open_router
 
 from athrl.names import own_name
@@ -56,19 +61,28 @@ def router(
     certificates: CertificatesOption = None,
 ) -> None:
     """Stand between actors, evaluators, viewers and their learner; ends with the run."""
+    shown = find_certificates(certificates, ROLE)
+    if shown is not None:
+        shown.check_may_serve(ROLE)
+    at, learner = (complete_address(address, secure=shown is not None) for address in (listen, connect))
     with stop_on_signal() as stop, refusals_told(certificates is not None):
         run_file = _await_run(connect, run, stop)
         if run_file is None:
             return
-        with open_router(
-            listen=listen,
-            connect=connect,
-            run=run_file.run.name,
-            certificates=certificates,
-            largest_chunk=largest_chunk_of(run_file),
-        ) as session:
-            log.info("router for run %s at %s, its learner at %s", run_file.run.name, listen, connect)
-            _stay(session, run_file.run.name, name or own_name(), stop)
+        with ExitStack() as stack:
+            session = stack.enter_context(
+                open_router(
+                    listen=listen,
+                    connect=connect,
+                    run=run_file.run.name,
+                    certificates=certificates,
+                    largest_chunk=largest_chunk_of(run_file),
+                )
+            )
+            stack.callback(await_what_is_on_its_way, session)
+            log.info("router for run %s at %s, its learner at %s", run_file.run.name, at, learner)
+            reconnection = Reconnection(session, connect, run_file.run.name)
+            _stay(session, run_file.run.name, name or own_name(), reconnection, stop)
 
 
 def _await_run(connect: str, run: str | None, stop: threading.Event) -> RunFile | None:
@@ -83,14 +97,17 @@ def _await_run(connect: str, run: str | None, stop: threading.Event) -> RunFile 
         raise
 
 
-def _stay(session: zenoh.Session, run: str, name: str, stop: threading.Event) -> None:
+def _stay(
+    session: zenoh.Session, run: str, name: str, reconnection: Reconnection, stop: threading.Event
+) -> None:
     """Wait until the run is finished and its learner has left, or until asked to stop."""
     with (
         announce_presence(session, run, ROLE, name),
-        StateSubscriber(session, run) as states,
+        StateSubscriber(session, run, reconnection.hear) as states,
         PresenceWatcher(session, run) as presence,
     ):
         while not stop.wait(POLL_SECONDS):
+            reconnection.look()
             state = states.newest()
             learner_left = not any(role == "learner" for role, _ in presence.present())
             if state is not None and state.phase is Phase.FINISHED and learner_left:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
 
-import zenoh
 from athrl_protocol import (
     EvaluationResult,
     EvaluationSubscriber,
@@ -32,7 +32,7 @@ class RunSnapshot:
 
     `metrics` holds the newest values of each service that spoke lately, by (role, name); `evaluations` the
     newest result of each driver; `present` the services that are there; `steps_per_second` is measured over
-    the last half minute, None at first.
+    the last half minute of the present phase, None at first.
     """
 
     settings: RunFile
@@ -75,30 +75,31 @@ class RunView:
     timeout: float
     stop: threading.Event | None = None
     settings: RunFile = field(init=False)
-    _session: zenoh.Session = field(init=False)
+    _open: ExitStack = field(default_factory=ExitStack, init=False)
     _reports: dict[tuple[str, str], tuple[float, dict[str, float]]] = field(default_factory=dict, init=False)
     _evaluations: dict[str, EvaluationResult] = field(default_factory=dict, init=False)
     _progress: list[tuple[float, int]] = field(default_factory=list, init=False)
+    _phase: Phase | None = field(default=None, init=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
 
     def __enter__(self) -> RunView:
-        self._session = open_session(connect=self.connect, timeout=self.timeout, stop=self.stop)
-        try:
-            self.settings = fetch_run_file(self._session, self.run, timeout=self.timeout)
+        with ExitStack() as stack:
+            session = stack.enter_context(
+                open_session(connect=self.connect, timeout=self.timeout, stop=self.stop)
+            )
+            self.settings = fetch_run_file(session, self.run, timeout=self.timeout)
             run = self.settings.run.name
-            self._state = StateSubscriber(self._session, run)
-            self._metrics = MetricsSubscriber(self._session, run, self._on_metrics)
-            self._results = EvaluationSubscriber(self._session, run, self._on_evaluation)
-            self._presence = PresenceWatcher(self._session, run)
-        except BaseException:
-            self._session.close()
-            raise
+            self._state = stack.enter_context(StateSubscriber(session, run))
+            stack.enter_context(MetricsSubscriber(session, run, self._on_metrics))
+            stack.enter_context(EvaluationSubscriber(session, run, self._on_evaluation))
+            self._presence = stack.enter_context(PresenceWatcher(session, run))
+            self._open = stack.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._session.close()
+        self._open.close()
 
     def _on_metrics(self, report: MetricsReport) -> None:
         with self._lock:
@@ -118,12 +119,18 @@ class RunView:
             }
             evaluations = dict(self._evaluations)
             if state is not None:
-                self._progress.append((now, state.environment_steps))
-                self._progress = [(at, steps) for at, steps in self._progress if now - at <= 30.0]
+                self._note_progress(now, state)
             rate = self._rate()
         return RunSnapshot(
             self.settings, state, metrics, evaluations, frozenset(self._presence.present()), rate
         )
+
+    def _note_progress(self, now: float, state: RunState) -> None:
+        if state.phase is not self._phase:  # the warm-up is many times faster than what follows
+            self._phase = state.phase
+            self._progress.clear()
+        self._progress.append((now, state.environment_steps))
+        self._progress = [(at, steps) for at, steps in self._progress if now - at <= 30.0]
 
     def _rate(self) -> float | None:
         """Environment steps a second over what is remembered."""

@@ -21,6 +21,7 @@ from athrl.options import (
     overrides,
     refusals_told,
 )
+from athrl.single_role import require_role
 from athrl.stopping import stop_on_signal
 
 CHECKPOINT_SECONDS = 60.0
@@ -70,6 +71,7 @@ def actor(
     certificates: CertificatesOption = None,
 ) -> None:
     """Drive environments with the newest policy and stream what happens to the learner."""
+    require_role(certificates, "actor")
     with stop_on_signal(within=DRAIN_SECONDS) as stop:
         with needs("actor"):
             from athrl_actor import run_actor
@@ -90,6 +92,7 @@ def evaluator(
     certificates: CertificatesOption = None,
 ) -> None:
     """Score policies on fixed episodes, record them and let them be watched."""
+    require_role(certificates, "evaluator")
     with stop_on_signal(within=DRAIN_SECONDS) as stop:
         with needs("evaluator"):
             from athrl_evaluator import run_evaluator

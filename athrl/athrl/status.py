@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Annotated, Any
 
 import typer
@@ -14,14 +15,18 @@ from rich.console import Console
 from rich.live import Live
 
 from athrl.errors import CommandError
-from athrl.names import host_name
+from athrl.names import host_name, is_own_name
 from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, JsonOption, LiveRunOption
 from athrl.picture import draw
 from athrl.run_view import RunSnapshot, RunView
+from athrl.single_role import warn_who_sees_little
 from athrl.stopping import stop_on_signal
 
 ANSWER_SECONDS = 5.0
 """How long the learner may take to be reached."""
+
+ROLES = ("learner", "actor", "evaluator", "router")
+"""Who takes part in a run under a name."""
 
 METRICS_SECONDS = 1.5
 """Services speak once a second: after so long everybody was heard."""
@@ -36,7 +41,8 @@ def status(
         str | None,
         typer.Option(
             metavar="ROLE[/NAME]",
-            help="Exit code 0 says that such a service takes part; an actor has this host's name.",
+            help="Exit code 0 says that such a service takes part; an actor or router without NAME is one "
+            "that has this host's name, with or without a process's number.",
         ),
     ] = None,
     certificates: CertificatesOption = None,
@@ -45,6 +51,7 @@ def status(
     if check is not None:
         _check(connect, run, check)
         return
+    warn_who_sees_little(certificates)
     with RunView(connect, run, timeout=ANSWER_SECONDS) as view:
         if follow:
             _follow(view)
@@ -57,9 +64,15 @@ def status(
 
 
 def _snapshot(view: RunView) -> RunSnapshot:
-    """Return what is known once every service has had time to speak."""
+    """Return what is known once every service has had time to speak.
+
+    So short a look measures no rate of its own; the learner's is of its last second.
+    """
     time.sleep(METRICS_SECONDS)
-    return view.snapshot()
+    snapshot = view.snapshot()
+    if snapshot.steps_per_second is not None:
+        return snapshot
+    return replace(snapshot, steps_per_second=snapshot.learner_metric("environment_steps_per_second"))
 
 
 def _follow(view: RunView) -> None:
@@ -75,15 +88,27 @@ def _check(connect: str, run: str | None, who: str) -> None:
     Asks for no more than every role may know, so that a service's container can look with its certificate.
     """
     role, _, name = who.partition("/")
-    name = name or (host_name() if role == "actor" else role)
+    if role not in ROLES:
+        raise CommandError(f"--check {who}: there is no role {role!r}, it should be {', '.join(ROLES)}")
+    belongs, called = _meant(role, name)
     with ExitStack() as stack:
         session = stack.enter_context(open_session(connect=connect, timeout=ANSWER_SECONDS))
         run = fetch_run_file(session, run, timeout=ANSWER_SECONDS).run.name
         presence = stack.enter_context(PresenceWatcher(session, run))
         state = stack.enter_context(StateSubscriber(session, run))
-        present = presence.wait_for(lambda there: (role, name) in there, ANSWER_SECONDS)
+        present = presence.wait_for(
+            lambda there: any(kind == role and belongs(name) for kind, name in there), ANSWER_SECONDS
+        )
         if not present or (role == "learner" and state.wait(ANSWER_SECONDS) is None):
-            raise CommandError(f"no {role} {name!r} takes part in the run {run}")
+            raise CommandError(f"no {role} {called} takes part in the run {run}")
+
+
+def _meant(role: str, name: str) -> tuple[Callable[[str], bool], str]:
+    """Return which services' names are meant, and in words; without a name those that `names` gives."""
+    if name or role in ("learner", "evaluator"):
+        wanted = name or role
+        return lambda other: other == wanted, repr(wanted)
+    return is_own_name, f"of this host ({host_name()!r}, or with a process's number behind it)"
 
 
 def facts(snapshot: RunSnapshot) -> dict[str, Any]:

@@ -43,12 +43,16 @@ ORPHAN_SECONDS = 30.0
 
 @contextmanager
 def stop_on_signal(
-    before_exit: Callable[[], None] | None = None, *, within: float = STOP_SECONDS
+    before_exit: Callable[[], None] | None = None,
+    *,
+    on_stop: Callable[[], None] | None = None,
+    within: float = STOP_SECONDS,
 ) -> Iterator[threading.Event]:
     """Yield an event that the first SIGINT or SIGTERM sets; the second one ends the process at once.
 
     So does the end of `within` seconds after the first, wherever the process is then, also behind the block.
-    `before_exit` is called before either; it must not wait for anything.
+    `before_exit` is called before either, and `on_stop` after the first signal, both in another thread; they
+    must not wait for anything.
 
     The signals are read from a pipe by a thread of their own (`signal.set_wakeup_fd`): setting an event in a
     signal handler can deadlock with the main thread waiting for that event, and a handler is not run at all
@@ -61,7 +65,7 @@ def stop_on_signal(
     earlier_writer = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     earlier = {number: signal.signal(number, _ignore) for number in SIGNALS}
     threading.Thread(
-        target=_read_signals, args=(reader, stop, before_exit, within), name="signals", daemon=True
+        target=_read_signals, args=(reader, stop, on_stop, before_exit, within), name="signals", daemon=True
     ).start()
     if os.environ.pop(LIFELINE, None):
         threading.Thread(target=_follow_parent, args=(stop,), name="lifeline", daemon=True).start()
@@ -91,7 +95,11 @@ def _ignore(number: int, frame: object) -> None:
 
 
 def _read_signals(
-    reader: int, stop: threading.Event, before_exit: Callable[[], None] | None, within: float
+    reader: int,
+    stop: threading.Event,
+    on_stop: Callable[[], None] | None,
+    before_exit: Callable[[], None] | None,
+    within: float,
 ) -> None:
     """Set `stop` on the first signal and end the process on the second; return when the pipe is closed."""
     with os.fdopen(reader, "rb", buffering=0) as numbers:
@@ -105,6 +113,8 @@ def _read_signals(
             threading.Thread(target=_end_after, args=(within, before_exit), name="limit", daemon=True).start()
             signal.alarm(math.ceil(within) + _MARGIN_SECONDS)
             stop.set()
+            if on_stop is not None:
+                on_stop()
 
 
 def _end_after(seconds: float, before_exit: Callable[[], None] | None) -> None:

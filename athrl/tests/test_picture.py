@@ -1,6 +1,7 @@
 """The picture of a run shows what is known, and says so where nothing is."""
 
 import io
+from dataclasses import replace
 
 from athrl.picture import draw, plain_line
 from athrl.run_view import RunSnapshot
@@ -50,6 +51,12 @@ def test_picture_shows_progress_services_and_scores() -> None:
         assert part in text
     for part in ("actor one", "45 decisions/s", "return -12.5", "4 m/s", "50 %", "812 ± 90.5", "25 %"):
         assert part in text
+
+
+def test_warm_up_gives_no_time_of_the_end_which_comes_many_times_later_than_it_suggests() -> None:
+    warming_up = replace(SNAPSHOT, state=replace(STATE, phase=Phase.WARMING_UP))
+    for text in (drawn(warming_up), plain_line(warming_up)):
+        assert "ETA - " in text
 
 
 def test_plain_line_says_the_same_in_one_line() -> None:

@@ -124,3 +124,19 @@ ThreadPoolExecutor(1).submit(threading.Event().wait)
 stopping.leave(2)
 """
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 2
+
+
+def test_stop_while_everything_is_loaded_ends_without_a_traceback() -> None:
+    loading = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", "athrl", "status"],
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell starts what it puts in the background deaf to SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert loading.stderr is not None
+    assert any(line.split()[-1] == "typer" for line in loading.stderr)  # and the rest is still to come
+    loading.send_signal(signal.SIGINT)
+    told = loading.communicate(timeout=60)[1]
+    said = [line for line in told.splitlines() if not line.startswith("import time:")]
+    assert (said, loading.returncode) == ([], 130)

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from filelock import FileLock, Timeout
 from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -112,6 +111,8 @@ def compiled_once(kernel: Callable[..., Any], what: str, seconds: int) -> Iterat
     if _is_compiled(kernel):
         yield
         return
+    from filelock import FileLock, Timeout  # here, because it brings asyncio: 50 ms of every start
+
     lock = FileLock(Path(cache_folder(_family(kernel))) / "compiling.lock")
     try:
         lock.acquire(timeout=LONGEST_COMPILATION)

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-HEAVY = ("pandas.core", "matplotlib.figure")
+HEAVY = ("pandas.core", "matplotlib.rcsetup", "scipy.linalg.blas")
 TELL = f"print(*(name in sys.modules for name in {HEAVY}))"
 
 
@@ -14,22 +14,22 @@ def run(code: str) -> list[str]:
     return result.stdout.split()
 
 
-def test_driving_in_a_town_loads_neither_tables_nor_plots() -> None:
+def test_driving_in_a_town_loads_no_tables_plots_or_linear_algebra() -> None:
     drives = (
         "import athrl_driving, gymnasium\n"
         "env = gymnasium.make('athrl/Town03-v0', config={'vehicles_count': 3})\n"
         "env.reset(seed=0)\n"
         "env.step(env.action_space.sample())\n"
     )
-    assert run(drives + TELL) == ["False", "False"]
+    assert run(drives + TELL) == ["False", "False", "False"]
 
 
-def test_driving_a_batch_with_a_policys_runner_loads_neither_tables_nor_plots() -> None:
+def test_driving_a_batch_with_a_policys_runner_loads_no_tables_plots_or_linear_algebra() -> None:
     drives = (
         "from athrl_driving.policy import EnvironmentBatch\n"
         "EnvironmentBatch('town03', {'vehicles_count': 3}, 2).close()\n"
     )
-    assert run(drives + TELL) == ["False", "False"]
+    assert run(drives + TELL) == ["False", "False", "False"]
 
 
 def test_who_uses_tables_has_them() -> None:
@@ -38,7 +38,21 @@ def test_who_uses_tables_has_them() -> None:
         "observation, _ = gymnasium.make('highway-v0').reset(seed=0)\n"  # made by way of a table
         "print(observation.shape)\n"
     )
-    assert run(f"{TELL}\n{looks}{TELL}") == ["False", "False", "(5,", "5)", "True", "False"]
+    assert run(f"{TELL}\n{looks}{TELL}") == [
+        *("False", "False", "False"),
+        *("(5,", "5)"),
+        *("True", "False", "False"),
+    ]
+
+
+def test_who_uses_plots_has_them() -> None:
+    plots = (
+        "import athrl_driving.maps, matplotlib\n"
+        "matplotlib.use('agg')\n"
+        "from matplotlib import pyplot\n"
+        "print(len(pyplot.plot([1, 2])), matplotlib.__version__ > '3', matplotlib.pyplot is pyplot)\n"
+    )
+    assert run(f"{plots}{TELL}") == ["1", "True", "True", "False", "True", "False"]
 
 
 def test_what_somebody_has_loaded_stays_as_it_is() -> None:
@@ -46,4 +60,17 @@ def test_what_somebody_has_loaded_stays_as_it_is() -> None:
         "1",
         "True",
         "False",
+        "False",
     ]
+
+
+def test_who_uses_linear_algebra_has_it() -> None:
+    uses = (
+        "import athrl_driving, gymnasium, numba, numpy\n"
+        "gymnasium.make('athrl/Town03-v0', config={'vehicles_count': 3}).reset(seed=0)\n"
+        "solve = numba.njit(lambda matrix: numpy.linalg.solve(matrix, numpy.dot(matrix, matrix)))\n"
+        "print(solve(numpy.eye(2)).sum())\n"
+        "import scipy\n"
+        "print(scipy.linalg.norm([3.0, 4.0]))\n"
+    )
+    assert run(uses + TELL) == ["2.0", "5.0", "False", "False", "True"]

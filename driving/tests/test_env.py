@@ -5,6 +5,8 @@ import hashlib
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
+from typing import Any
 
 import athrl_driving  # noqa: F401  (registers the environment)
 import gymnasium
@@ -339,6 +341,12 @@ def test_a_wrong_setting_is_refused_in_one_line(setting: dict, message: str) -> 
         TownEnv(config=setting)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_a_setting_given_as_an_argument_is_told_where_it_belongs(make: Callable[..., Any]) -> None:
+    with pytest.raises(TypeError, match=r"no argument 'vehicles_count'; .* config=\{'vehicles_count': 3\}"):
+        make("athrl/Town03-v0", vehicles_count=3)
 
 
 class NoValue:

@@ -72,7 +72,11 @@ def test_case_studies_start_at_their_place_with_other_traffic_each_time(name: st
     [
         ({"start": "somewhere"}, "start is 'somewhere', it should be None or (road name, lane id, metres"),
         ({"destination": 7}, 'destination is 7, it should be None, "random" or (road name,'),
-        ({"start": ("Nowhere", 1, 0.0)}, "the map town03 has no road 'Nowhere'"),
+        (
+            {"start": ("Zzz", 1, 0.0)},
+            "the map town03 has no road 'Zzz': load_town(...).road_name has them all",
+        ),
+        ({"start": ("Meadow Rd", 1, 0.0)}, "has no road 'Meadow Rd', did you mean 'Meadow Road'?"),
         ({"start": ("Meadow Road", 9, 0.0)}, "'Meadow Road' of town03 has no lane 9, its lanes are -1, 1"),
         ({"start": ("Meadow Road", -1, 1e4)}, "is 200.1 m long, not 10000 m"),
         ({"traffic_near": (0.0, 0.0, -1.0)}, "it should be None or (x, y, radius)"),

@@ -187,13 +187,17 @@ def test_an_ended_episode_waits_for_its_reset() -> None:
         (lambda: TownVectorEnv(1, threads=-2), "threads is -2, it should be a whole number, 1 or more"),
         (lambda: TownVectorEnv(1, threads=1.5), "threads is 1.5, it should be a whole number, 1 or more"),
         (lambda: TownVectorEnv(1, threads=True), "threads is True, it should be a whole number, 1 or more"),
+        (
+            lambda: TownVectorEnv(1, autoreset_mode="Next"),
+            "autoreset_mode is 'Next', it should be 'NextStep' or 'SameStep' or 'Disabled'",
+        ),
         (lambda: TownVectorEnv(1, config={"vehicle_count": 1}), "did you mean 'vehicles_count'"),
         (lambda: TownVectorEnv(1, config=[1]), r"config is \[1\], it should be a dict of settings"),
         (lambda: new_vector().reset(seed=1.5), "seed is 1.5, it should be a whole number or a list of 5"),
         (lambda: new_vector().reset(seed=[1, 2]), "2 seeds were given, there should be one for each of 5"),
         (
             lambda: new_vector().step(np.zeros((2, 2))),
-            r"the actions have shape \(2, 2\), it should be \(5, 2\)",
+            r"the array of actions has shape \(2, 2\), it should be \(5, 2\)",
         ),
         (
             lambda: new_vector().step(np.array([[0, 0], [0, 0], [0, np.nan], [0, 0], [0, 0]])),

@@ -29,13 +29,14 @@ from athrl_protocol.errors import (
     RunNotFound,
 )
 from athrl_protocol.frame import Frame, Point, Vehicle, decode_frame, encode_frame
-from athrl_protocol.intake import ChunkIntake, IntakeBusy, IntakeFinished, IntakeStatistics
+from athrl_protocol.intake import ChunkIntake, IntakeStatistics
 from athrl_protocol.joining import join_run
 from athrl_protocol.keys import Keys, check_name, new_incarnation
 from athrl_protocol.live import FramePublisher, FrameSubscription, subscribe_frames
 from athrl_protocol.metrics import MetricsPublisher, MetricsReport, MetricsSubscriber
 from athrl_protocol.newest import NewestPublisher, NewestSubscriber
 from athrl_protocol.presence import Presence, PresenceWatcher, announce_presence
+from athrl_protocol.receiver import IntakeBusy, IntakeFinished
 from athrl_protocol.run_file import RunFile, default_toml, read_run_file, to_toml
 from athrl_protocol.schema import SCHEMA_HASH, SCHEMA_VERSION
 from athrl_protocol.session import open_session

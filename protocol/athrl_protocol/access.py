@@ -29,6 +29,8 @@ class Rule(NamedTuple):
 
 
 CLIENTS = ("actor", "evaluator", "viewer")
+ONLOOKERS = ("viewer", "learner", "router")
+"""Whose certificates let see all of a run: its metrics and evaluations."""
 
 
 def access_list(run: str) -> dict[str, Any]:

@@ -30,6 +30,8 @@ def split_address(address: str) -> tuple[str, int]:
     """
     protocol, _, place = address.partition("/")
     host, _, port = place.rpartition(":")
-    if protocol not in ("tcp", "tls") or not host or not port.isdigit() or not 0 < int(port) < 65536:
+    if protocol not in ("tcp", "tls") or not host or not (port.isascii() and port.isdigit()):
         raise ProtocolError(f"{address!r} is not an address: it should look like tcp/127.0.0.1:7447")
+    if len(port) > 5 or not 0 < int(port) < 65536:
+        raise ProtocolError(f"{address!r} is not an address: its port should be 1 to 65535")
     return host.strip("[]"), int(port)

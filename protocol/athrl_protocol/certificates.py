@@ -6,6 +6,7 @@ of one role, as a service on its own machine or in its own container has it.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import ssl
 from dataclasses import dataclass
@@ -47,6 +48,29 @@ class Certificates:
         except (ssl.SSLError, OSError):
             raise ProtocolError(f"{self.key} is not the key of the certificate {self.certificate}") from None
         return context
+
+    def check_may_serve(self, role: str) -> None:
+        """Shake hands with itself as a client would, who otherwise is the first to say what is wrong.
+
+        Raises:
+            ProtocolError: clients would refuse this certificate, say because it is an actor's or has expired.
+        """
+        as_server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        as_server.load_cert_chain(self.certificate, self.key)
+        as_client = self.context()
+        as_client.check_hostname = False  # by which of its names it is reached, only the client knows
+        to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()
+        client = as_client.wrap_bio(to_client, to_server)
+        server = as_server.wrap_bio(to_server, to_client, server_side=True)
+        try:
+            for side in (client, server, client):
+                with contextlib.suppress(ssl.SSLWantReadError):
+                    side.do_handshake()
+        except ssl.SSLCertVerificationError as error:
+            raise ProtocolError(
+                f"{self.certificate} is no certificate that clients of a {role} accept "
+                f"({error.verify_message}): give it one that athrl certificates made for a {role}"
+            ) from None
 
 
 def find_certificates(folder: str | Path | None, role: str) -> Certificates | None:

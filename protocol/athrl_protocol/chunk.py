@@ -21,7 +21,6 @@ MAXIMUM_IMAGES_BYTES = 64 * 2**20
 MAXIMUM_COLUMN_BYTES = 2**20
 
 _FLOAT32, _INT64, _UINT8 = np.dtype(np.float32), np.dtype(np.int64), np.dtype(np.uint8)
-_Shape = tuple[int | None, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,36 +113,37 @@ def check_form(chunk: Chunk) -> None:
         raise InvalidMessage(
             "shape", f"chunk: length is {chunk.length}, should be {time - interval + 1} to time = {time}"
         )
-    _check_column("policy_version", chunk.policy_version, _INT64, (time,))
-    if chunk.policy_version.min() < 0:
+    _check_column(("policy_version",), chunk.policy_version, _INT64, 1, time)
+    if _any_negative(chunk.policy_version):
         raise InvalidMessage("value", "chunk: policy_version has negative numbers")
-    _check_column("images", chunk.images, _UINT8, (time + 1, None, None, None))
+    _check_column(("images",), chunk.images, _UINT8, 4, time + 1)
     if not 0 < chunk.images.nbytes <= MAXIMUM_IMAGES_BYTES:
         raise InvalidMessage(
             "size", f"chunk: images of {chunk.images.nbytes} bytes, should be 1 to {MAXIMUM_IMAGES_BYTES}"
         )
-    _check_column("motion", chunk.motion, _FLOAT32, (time + 1, None))
+    _check_column(("motion",), chunk.motion, _FLOAT32, 2, time + 1)
     if not 1 <= len(chunk.levels) <= MAXIMUM_LEVELS:
         raise InvalidMessage("shape", f"chunk: {len(chunk.levels)} levels, should be 1 to {MAXIMUM_LEVELS}")
     for name, level in chunk.levels.items():
         _check_name("level", name)
-        _check_column(f"{name}.actions", level.actions, _FLOAT32, (time, None))
-        _check_column(f"{name}.rewards", level.rewards, _FLOAT32, (time,))
-        states = (time // interval, level.states.size // (time // interval))
-        _check_column(f"{name}.states", level.states, _FLOAT32, states)
+        _check_column((name, "actions"), level.actions, _FLOAT32, 2, time)
+        _check_column((name, "rewards"), level.rewards, _FLOAT32, 1, time)
+        _check_column((name, "states"), level.states, _FLOAT32, 2, time // interval, may_be_empty=True)
 
 
 def check_finite(chunk: Chunk) -> None:
     """Check that all numbers of a chunk are finite; raises as `check_chunk` does."""
-    columns = {"motion": chunk.motion}
-    for name, level in chunk.levels.items():
-        columns[f"{name}.actions"] = level.actions
-        columns[f"{name}.rewards"] = level.rewards
-        columns[f"{name}.states"] = level.states
-    # All at once: the calls cost more than the numbers.
-    if np.isfinite(np.concatenate([column.ravel() for column in columns.values()])).all():
+    columns = [chunk.motion]
+    for level in chunk.levels.values():
+        columns += level.actions, level.rewards, level.states
+    # All at once: the calls cost more than the numbers. Joining bytes and counting take half the time of
+    # `concatenate` and `all`.
+    numbers = np.frombuffer(b"".join([column.tobytes() for column in columns]), _FLOAT32)
+    if np.count_nonzero(np.isfinite(numbers)) == numbers.size:
         return
-    for name, column in columns.items():
+    parts = ("actions", "rewards", "states")
+    names = ["motion", *(f"{level}.{part}" for level in chunk.levels for part in parts)]
+    for name, column in zip(names, columns, strict=True):
         if not np.isfinite(column).all():
             raise InvalidMessage("value", f"chunk: {name} has numbers that are not finite")
 
@@ -171,21 +171,25 @@ def _check_name(kind: str, name: str) -> None:
         raise InvalidMessage("value", f"chunk: {error}") from None
 
 
-def _check_column(name: str, column: npt.NDArray[Any], dtype: np.dtype[Any], shape: _Shape) -> None:
-    """Check type and shape of one column; a size of None in `shape` is any size from 1 on."""
+def _any_negative(numbers: npt.NDArray[np.int64]) -> bool:
+    """Whether the highest byte of any number is beyond ASCII: the answer of `min` in a fifth of its time."""
+    return not numbers.astype("<i8", copy=False).tobytes()[7::8].isascii()
+
+
+def _check_column(
+    name: tuple[str, ...],
+    column: npt.NDArray[Any],
+    dtype: np.dtype[Any],
+    dimensions: int,
+    length: int,
+    may_be_empty: bool = False,
+) -> None:
+    """Check type and shape of one column, [length, any, ...]; any is from 1 on unless it may be empty."""
     if column.dtype != dtype:
-        raise InvalidMessage("shape", f"chunk: {name} is {column.dtype}, should be {dtype}")
-    if column.shape != shape and not _fits(column.shape, shape):
-        wanted_shape = ", ".join("any" if size is None else str(size) for size in shape)
+        raise InvalidMessage("shape", f"chunk: {'.'.join(name)} is {column.dtype}, should be {dtype}")
+    shape = column.shape
+    if len(shape) != dimensions or shape[0] != length or (0 in shape and not may_be_empty):
+        wanted = ", ".join([str(length)] + ["any"] * (dimensions - 1))
         raise InvalidMessage(
-            "shape", f"chunk: {name} has shape {list(column.shape)}, should be [{wanted_shape}]"
+            "shape", f"chunk: {'.'.join(name)} has shape {list(shape)}, should be [{wanted}]"
         )
-
-
-def _fits(actual: tuple[int, ...], shape: _Shape) -> bool:
-    if len(actual) != len(shape):
-        return False
-    for size, wanted in zip(actual, shape, strict=True):
-        if size != wanted and (wanted is not None or size < 1):
-            return False
-    return True

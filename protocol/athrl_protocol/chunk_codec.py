@@ -1,11 +1,12 @@
 """Chunks as bytes: one protobuf bytes field a column, the images compressed (`image_codec`).
 
-Decoding copies nothing but the images: every other column is a read-only view into the message. Nothing
-is decompressed before the size that the message announces has been checked.
+Decoded columns are read-only views: of the message itself, if its images are not compressed. Nothing is
+decompressed before the size that the message announces has been checked.
 """
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,8 @@ from athrl_protocol.chunk import (
 )
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.image_codec import Compression, number_of, pack_images, unpack_images
-from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.images_first import images_taken_out, with_images_first
+from athrl_protocol.schema import decode_message
 
 # The worst case of either compression is the content plus 1/255; what is longer is not worth a look.
 MAXIMUM_MESSAGE_BYTES = MAXIMUM_IMAGES_BYTES + MAXIMUM_IMAGES_BYTES // 128
@@ -32,9 +34,6 @@ OLDEST_HELD_BYTES = 16
 
 _FLOAT32 = np.dtype("<f4")
 _INT64 = np.dtype("<i8")
-# The images go behind the rest of the message, as any order of fields is the same message; so they are copied
-# once and not by each step of protobuf's.
-_IMAGES_TAG = bytes([athrl_pb2.Chunk.IMAGES_FIELD_NUMBER << 3 | 2])  # 2: with a length
 
 
 def encode_chunk(chunk: Chunk, compression: Compression = "zstd") -> bytes:
@@ -94,16 +93,7 @@ def encode_checked(chunk: Chunk, identity: Identity, compression: Compression) -
             states=level.states.astype(_FLOAT32, copy=False).tobytes(),
         )
     images = pack_images(chunk.images, compression)
-    return b"".join((encode_message(message), _IMAGES_TAG, _varint(len(images)), images))
-
-
-def _varint(number: int) -> bytes:
-    content = bytearray()
-    while number > 0x7F:
-        content.append(number & 0x7F | 0x80)
-        number >>= 7
-    content.append(number)
-    return bytes(content)
+    return with_images_first(message, images)
 
 
 def with_oldest_held(encoded: bytes, oldest_held: int) -> bytes:
@@ -123,15 +113,15 @@ def decode_chunk(payload: bytes) -> Chunk:
     """
     if len(payload) > MAXIMUM_MESSAGE_BYTES:
         raise InvalidMessage("size", f"chunk: {len(payload)} bytes, at most {MAXIMUM_MESSAGE_BYTES}")
-    message = decode_message(athrl_pb2.Chunk, payload)
-    if not 1 <= message.time <= MAXIMUM_TIME or len(message.levels) > MAXIMUM_LEVELS:
+    images, rest = images_taken_out(payload)
+    message = decode_message(athrl_pb2.Chunk, rest)
+    time, interval = message.time, message.state_interval
+    if not 1 <= time <= MAXIMUM_TIME or len(message.levels) > MAXIMUM_LEVELS:
         raise InvalidMessage(
-            "shape", f"chunk: time {message.time} with {len(message.levels)} levels is out of bounds"
+            "shape", f"chunk: time {time} with {len(message.levels)} levels is out of bounds"
         )
-    if not 1 <= message.state_interval <= message.time:
-        raise InvalidMessage(
-            "shape", f"chunk: state_interval is {message.state_interval}, should divide time = {message.time}"
-        )
+    if not 1 <= interval <= time:
+        raise InvalidMessage("shape", f"chunk: state_interval is {interval}, should divide time = {time}")
     chunk = Chunk(
         actor=message.actor,
         incarnation=message.incarnation,
@@ -140,11 +130,12 @@ def decode_chunk(payload: bytes) -> Chunk:
         episode_seed=message.episode_seed,
         first_step=message.first_step,
         length=message.length,
-        state_interval=message.state_interval,
-        images=_images(message),
-        motion=_column("motion", message.motion, _FLOAT32, (message.time + 1, message.motion_size)),
-        levels=_levels(message),
-        policy_version=_column("policy_version", message.policy_version, _INT64, (message.time,)),
+        state_interval=interval,
+        # of a field that comes twice the last one counts
+        images=_images(message, time, message.images or images),
+        motion=_column("motion", message.motion, _FLOAT32, (time + 1, message.motion_size)),
+        levels=_levels(message, time, time // interval),
+        policy_version=_column("policy_version", message.policy_version, _INT64, (time,)),
         terminated=message.terminated,
         truncated=message.truncated,
         oldest_held=message.oldest_held,
@@ -153,41 +144,39 @@ def decode_chunk(payload: bytes) -> Chunk:
     return chunk
 
 
-def _levels(message: athrl_pb2.Chunk) -> dict[str, LevelColumns]:
+def _levels(message: athrl_pb2.Chunk, time: int, sequences: int) -> dict[str, LevelColumns]:
     levels: dict[str, LevelColumns] = {}
-    sequences = message.time // message.state_interval
     for level in message.levels:
-        if level.name in levels:
-            raise InvalidMessage("shape", f"chunk: level {level.name!r} comes twice")
-        size = len(level.states) // (sequences * _FLOAT32.itemsize)
-        levels[level.name] = LevelColumns(
-            actions=_column("actions", level.actions, _FLOAT32, (message.time, level.action_size)),
-            rewards=_column("rewards", level.rewards, _FLOAT32, (message.time,)),
-            states=_column("states", level.states, _FLOAT32, (sequences, size)),
+        name, states = level.name, level.states
+        if name in levels:
+            raise InvalidMessage("shape", f"chunk: level {name!r} comes twice")
+        size = len(states) // (sequences * _FLOAT32.itemsize)
+        levels[name] = LevelColumns(
+            actions=_column("actions", level.actions, _FLOAT32, (time, level.action_size)),
+            rewards=_column("rewards", level.rewards, _FLOAT32, (time,)),
+            states=_column("states", states, _FLOAT32, (sequences, size)),
         )
     return levels
 
 
 def _column(name: str, content: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
     """Return a read-only view of the shape on a field's bytes."""
-    expected = dtype.itemsize
-    for size in shape:
-        expected *= size
+    expected = prod(shape) * dtype.itemsize
     if expected > MAXIMUM_COLUMN_BYTES or len(content) != expected:
         raise InvalidMessage(
             "size",
             f"chunk: {name} has {len(content)} bytes, {list(shape)} needs {expected} "
             f"(at most {MAXIMUM_COLUMN_BYTES} are allowed)",
         )
-    return np.frombuffer(content, dtype).reshape(shape)
+    return np.ndarray(shape, dtype, content)
 
 
-def _images(message: athrl_pb2.Chunk) -> npt.NDArray[np.uint8]:
-    shape = (message.time + 1, message.image_height, message.image_width, message.image_channels)
-    expected = shape[0] * shape[1] * shape[2] * shape[3]
+def _images(message: athrl_pb2.Chunk, time: int, images: bytes | memoryview) -> npt.NDArray[np.uint8]:
+    shape = (time + 1, message.image_height, message.image_width, message.image_channels)
+    expected = prod(shape)
     if not 0 < expected <= MAXIMUM_IMAGES_BYTES:
         raise InvalidMessage(
             "size", f"chunk: images of {expected} bytes, should be 1 to {MAXIMUM_IMAGES_BYTES}"
         )
-    content = unpack_images(message.images, message.image_compression, expected)
-    return np.frombuffer(content, np.uint8).reshape(shape)
+    content = unpack_images(images, message.image_compression, expected)
+    return np.ndarray(shape, np.uint8, content)

@@ -17,6 +17,8 @@ Compression = Literal["lz4", "zstd", "none"]
 
 # Level 1 shrinks bird's eye views as much as level 3 does, in less time.
 _ZSTD_LEVEL = 1
+# LZ4 looks for repetitions less thoroughly: a quarter less time for 3 % more bytes; beyond it gains no more.
+_LZ4_ACCELERATION = 4
 # A byte of an LZ4 block stands for 255 bytes at most (its specification: a run's length grows by 255 a byte).
 _LZ4_HIGHEST_RATIO = 255
 
@@ -47,14 +49,16 @@ def pack_images(images: npt.NDArray[np.uint8], compression: Compression) -> byte
     """Return the bytes of images, compressed; where they are not, those of the array itself."""
     content: memoryview = np.ascontiguousarray(images).reshape(-1).data
     if compression == "lz4":
-        return lz4.block.compress(content, store_size=False)
+        return lz4.block.compress(content, mode="fast", acceleration=_LZ4_ACCELERATION, store_size=False)
     if compression == "zstd":
         return _zstd.compressor.compress(content)
     return content
 
 
-def unpack_images(content: bytes, compression: int, expected: int) -> bytes:
+def unpack_images(content: bytes | memoryview, compression: int, expected: int) -> bytes | memoryview:
     """Return the `expected` bytes that were packed, which the caller has found to be a bearable number.
+
+    What was packed as it is comes back as it is, not copied.
 
     Raises:
         InvalidMessage: the content unpacks to another size or not at all, or its compression is not known.
@@ -69,13 +73,13 @@ def unpack_images(content: bytes, compression: int, expected: int) -> bytes:
     raise InvalidMessage("images", f"chunk: image_compression {compression} is not known")
 
 
-def _checked(content: bytes, expected: int) -> bytes:
+def _checked(content: bytes | memoryview, expected: int) -> bytes | memoryview:
     if len(content) != expected:
         raise InvalidMessage("size", f"chunk: images unpack to {len(content)} bytes, should be {expected}")
     return content
 
 
-def _unpacked_lz4(content: bytes, expected: int) -> bytes:
+def _unpacked_lz4(content: bytes | memoryview, expected: int) -> bytes:
     if expected > _LZ4_HIGHEST_RATIO * len(content):
         raise InvalidMessage(
             "size", f"chunk: images of {len(content)} bytes cannot unpack to {expected}, as they should"
@@ -86,7 +90,7 @@ def _unpacked_lz4(content: bytes, expected: int) -> bytes:
         raise InvalidMessage("images", f"chunk: images are no LZ4 block ({error})") from None
 
 
-def _unpacked_zstd(content: bytes, expected: int) -> bytes:
+def _unpacked_zstd(content: bytes | memoryview, expected: int) -> bytes:
     try:
         announced = zstandard.frame_content_size(content)
         if announced != expected:

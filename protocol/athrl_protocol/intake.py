@@ -14,12 +14,11 @@ from __future__ import annotations
 import contextlib
 import copy
 import logging
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import zenoh
 
@@ -27,65 +26,21 @@ from athrl_protocol import athrl_pb2
 from athrl_protocol.chunk import Chunk
 from athrl_protocol.chunk_codec import MAXIMUM_MESSAGE_BYTES, decode_chunk
 from athrl_protocol.closing import Closing
+from athrl_protocol.credits import QUEUE_CAPACITY, Credits
 from athrl_protocol.delivery import MOST_BYTES, taken_apart
 from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.keys import Keys
 from athrl_protocol.ledger import Gap, Known, Ledger
+from athrl_protocol.receiver import IntakeBusy, IntakeFinished, PlainReceiver, Receiver
 from athrl_protocol.refusals import Refusals
 from athrl_protocol.schema import encode_message
 from athrl_protocol.session import undeclare_quietly
 
 _log = logging.getLogger(__name__)
 
-# Queries that may wait. A full queue would stop everything else on the link, so the credits of all
-# actors together stay below it.
-QUEUE_CAPACITY = 256
 # Queries that are answered together; more would let the first of them wait for long.
 BATCH = 32
-# Of one actor: enough that neither side waits for the other's turn on a busy machine or a slow network.
-CREDITS = 32
-ACTIVE_SECONDS = 10.0
-# How often silent actors are looked for; not every chunk pays for looking at a thousand of them.
-FORGET_SECONDS = 0.5
 CLOSE_SECONDS = 5.0
-
-
-class IntakeBusy(Exception):  # noqa: N818 - says what is so, not what went wrong
-    """Raised by `accept`: there is no room now, the actor shall send the chunk again."""
-
-
-class IntakeFinished(Exception):  # noqa: N818
-    """Raised by `accept`: the run has all the chunks it needs."""
-
-
-@runtime_checkable
-class Receiver(Protocol):
-    """Takes chunks in so that they survive the process; all in the intake's thread."""
-
-    def accept(self, chunk: Chunk, message: bytes) -> None:
-        """Take a chunk in, which arrived as `message`; raises what `ChunkIntake` lets `accept` raise."""
-
-    def refuse(self, chunk: Chunk) -> None:
-        """Remember that a chunk is settled for which `accept` raised InvalidMessage; may raise IntakeBusy."""
-
-    def commit(self) -> None:
-        """Called before answers go out: what was accepted or refused so far is safe when this returns."""
-
-
-class _Plain:
-    """A receiver around a function: nothing outlives the process."""
-
-    def __init__(self, accept: Callable[[Chunk], None]) -> None:
-        self._accept = accept
-
-    def accept(self, chunk: Chunk, message: bytes) -> None:
-        self._accept(chunk)
-
-    def refuse(self, chunk: Chunk) -> None:
-        pass
-
-    def commit(self) -> None:
-        pass
 
 
 class _Answer(NamedTuple):
@@ -153,11 +108,10 @@ class ChunkIntake(Closing):
     ) -> None:
         self._largest = largest
         self._refusals = Refusals("a chunk", _log)
-        self._receiver = accept if isinstance(accept, Receiver) else _Plain(accept)
+        self._receiver = accept if isinstance(accept, Receiver) else PlainReceiver(accept)
         self._ledger = ledger if isinstance(ledger, Ledger) else Ledger(ledger)
         self._statistics = IntakeStatistics()
-        self._heard: dict[str, float] = {}
-        self._forgot_at = -math.inf  # when silent actors were taken out of `_heard`
+        self._credits = Credits()
         self._commit_seconds = 0.0  # how long the last commit took
         self._lock = threading.RLock()
         self._stopped: athrl_pb2.Refusal.Reason | None = None
@@ -191,8 +145,7 @@ class ChunkIntake(Closing):
         """Return the counts."""
         with self._lock:
             statistics = copy.deepcopy(self._statistics)
-            self._forget_silent_actors(time.monotonic())
-            statistics.active_actors = len(self._heard)
+            statistics.active_actors = self._credits.active_actors()
             statistics.invalid = self._refusals.by_reason()
             statistics.invalid_by_sender = self._refusals.by_sender()
             totals = self._ledger.totals
@@ -318,7 +271,7 @@ class ChunkIntake(Closing):
         """Accept a chunk if it is new, and return the answer."""
         if self.failure is not None:
             raise IntakeBusy  # the ledger knows chunks that are not safe: not even "known" may be said
-        self._heard[chunk.actor] = time.monotonic()
+        self._credits.hear(chunk.actor)
         verdict = self._ledger.judge(chunk)
         if isinstance(verdict, Known):
             self._statistics.duplicates += 1
@@ -343,18 +296,7 @@ class ChunkIntake(Closing):
         return self._acknowledgement(self._ledger.record(chunk))
 
     def _acknowledgement(self, next_sequence: int) -> athrl_pb2.Acknowledgement:
-        return athrl_pb2.Acknowledgement(next_sequence=next_sequence, credits=self._credits())
-
-    def _credits(self) -> int:
-        """Return how many chunks each actor may have under way."""
-        now = time.monotonic()
-        if now - self._forgot_at >= FORGET_SECONDS:
-            self._forget_silent_actors(now)
-        return max(1, min(CREDITS, QUEUE_CAPACITY // max(1, len(self._heard))))
-
-    def _forget_silent_actors(self, now: float) -> None:
-        self._heard = {actor: heard for actor, heard in self._heard.items() if now - heard < ACTIVE_SECONDS}
-        self._forgot_at = now
+        return athrl_pb2.Acknowledgement(next_sequence=next_sequence, credits=self._credits.of_each())
 
     def _busy(self) -> athrl_pb2.Refusal:
         with self._lock:

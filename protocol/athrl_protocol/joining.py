@@ -13,6 +13,7 @@ import zenoh
 
 from athrl_protocol.announcements import fetch_run_file
 from athrl_protocol.errors import LearnerNotFound, NameTaken
+from athrl_protocol.leaving import await_what_is_on_its_way
 from athrl_protocol.presence import PresenceGlance, announce_presence
 from athrl_protocol.run_file import NetworkSection, RunFile
 from athrl_protocol.session import open_session
@@ -44,6 +45,7 @@ def join_run(
             session = stack.enter_context(
                 open_session(connect=connect, timeout=patience, stop=stop, role=role)
             )
+            stack.callback(await_what_is_on_its_way, session)
             run_file = fetch_run_file(session, run, timeout=patience, stop=stop)
         except LearnerNotFound:
             if stop.is_set():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import time
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from athrl_protocol.errors import ProtocolError
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,126}")
 
 
+@functools.lru_cache(maxsize=1024)  # every chunk asks for the same few
 def check_name(kind: str, name: str) -> str:
     """Return `name` if it can be a part of a key, else raise ProtocolError."""
     if _NAME.fullmatch(name) is None:

@@ -115,10 +115,11 @@ class NewestPublisher(Closing):
     def close(self) -> None:
         """Stop answering and sending; the value is gone with its publisher."""
         self._closed.set()
-        for declared in (self._token, self._queryable, self._publisher, self._reminders):
-            undeclare_quietly(declared)
+        # First: what is just being put cannot be undeclared.
         if self._reminder.is_alive():
             self._reminder.join(timeout=QUERY_SECONDS)
+        for declared in (self._token, self._queryable, self._publisher, self._reminders):
+            undeclare_quietly(declared)
 
 
 class NewestSubscriber(Closing):

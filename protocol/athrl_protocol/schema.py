@@ -68,22 +68,26 @@ def decode_message(kind: type[_Message], payload: bytes, largest: int | None = N
         InvalidMessage: it is too large, cannot be parsed, or was written with another schema.
     """
     message = kind()
-    name = kind.DESCRIPTOR.name
     if largest is not None and len(payload) > largest:
-        raise InvalidMessage("size", f"{name}: {len(payload)} bytes, at most {largest}")
+        raise InvalidMessage("size", f"{_name(kind)}: {len(payload)} bytes, at most {largest}")
     try:
         message.ParseFromString(payload)
     except DecodeError:
-        raise InvalidMessage("malformed", f"{name}: {len(payload)} bytes that are no such message") from None
+        text = f"{_name(kind)}: {len(payload)} bytes that are no such message"
+        raise InvalidMessage("malformed", text) from None
     version: int = message.schema_version  # type: ignore[attr-defined]
     schema_hash: int = message.schema_hash  # type: ignore[attr-defined]
     if (version, schema_hash) != (SCHEMA_VERSION, SCHEMA_HASH):
         raise InvalidMessage(
             "schema",
-            f"{name}: schema {version} ({schema_hash:016x}), this program has schema {SCHEMA_VERSION} "
+            f"{_name(kind)}: schema {version} ({schema_hash:016x}), this program has schema {SCHEMA_VERSION} "
             f"({SCHEMA_HASH:016x}); all services of a run must be of one release",
         )
     return message
+
+
+def _name(kind: type[Message]) -> str:
+    return str(kind.DESCRIPTOR.name)
 
 
 def check_text(kind: str, field: str, text: str, longest: int = LONGEST_NAME) -> None:

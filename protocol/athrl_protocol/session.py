@@ -28,6 +28,7 @@ from athrl_protocol.certificates import Certificates, find_certificates
 from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
 from athrl_protocol.handshake import why_not_admitted
 from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, largest_message, size_filter
+from athrl_protocol.socket_options import let_wait, see_to_sockets
 
 # At one learner or router; who comes after them is told that nobody answers there.
 MOST_CONNECTIONS = 10_000
@@ -38,6 +39,14 @@ RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 
 OPEN_MILLISECONDS = 2_000
 # Zenoh's attempts cannot be interrupted by a signal, so each is short.
 ATTEMPT_SECONDS = 1.0
+# With TLS both are longer: who listens takes in nobody for 0.1 s after each connection that was given up
+# before its handshake was over (zenoh-link-tls 1.10, TLS_ACCEPT_THROTTLE_TIME), so a crowd of impatient
+# clients would keep itself out.
+SECURE_OPEN_MILLISECONDS = 5_000
+SECURE_ATTEMPT_SECONDS = 5.0
+# For the same reason few may wait to be taken in: who listens may be paused until they have given up. Others
+# come again by TCP's own means.
+MOST_WAITING = 16
 PAUSE_SECONDS = 0.1
 # A refusal may pass: certificates are being renewed, a learner is being replaced.
 REFUSED_SECONDS = 3.0
@@ -120,6 +129,12 @@ def open_router(
     return _open_listener(complete_address(listen, secure=shown is not None), shown, settings)
 
 
+def _open(configuration: zenoh.Config) -> zenoh.Session:
+    session = zenoh.open(configuration)
+    see_to_sockets(session)
+    return session
+
+
 def _configuration(mode: str, shown: Certificates | None, settings: dict[str, Any]) -> zenoh.Config:
     configuration = zenoh.Config()
     everything = {
@@ -128,7 +143,7 @@ def _configuration(mode: str, shown: Certificates | None, settings: dict[str, An
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # a router would wait that long for what scouting finds
         "transport/link/tx/lease": LEASE_MILLISECONDS,
-        "transport/unicast/open_timeout": OPEN_MILLISECONDS,
+        "transport/unicast/open_timeout": OPEN_MILLISECONDS if shown is None else SECURE_OPEN_MILLISECONDS,
         # Zenoh's own bound is 1,000, which a thousand actors and an evaluator exceed.
         "transport/unicast/max_sessions": MOST_CONNECTIONS,
         # It would pass by the encryption, and take 16 MiB for each connection: 16 GiB of a learner of a
@@ -169,11 +184,14 @@ def _listen(address: str, shown: Certificates | None, run: str | None, largest_c
 def _open_listener(address: str, shown: Certificates | None, settings: dict[str, Any]) -> zenoh.Session:
     require_free(address)
     try:
-        return zenoh.open(_configuration("router", shown, {"listen/endpoints": [address], **settings}))
+        session = _open(_configuration("router", shown, {"listen/endpoints": [address], **settings}))
     except zenoh.ZError as error:
         if "in use" in str(error):
             raise _in_use(address) from None
         raise ProtocolError(f"cannot listen at {address}: {_first_sentence(error)}") from None
+    if shown is not None:
+        let_wait(address, MOST_WAITING)
+    return session
 
 
 def _in_use(address: str) -> AddressInUse:
@@ -205,14 +223,14 @@ def _connect(
 ) -> zenoh.Session:
     began = time.monotonic()
     while True:
-        cause = _probe(address)
-        refusal = None
+        # With TLS only after an attempt: to who listens a probe is a handshake that was given up.
+        cause, refusal = "" if shown is not None else _probe(address), None
         if not cause:
+            left = max(timeout - (time.monotonic() - began), ATTEMPT_SECONDS)
             try:
-                return zenoh.open(_client_configuration(address, shown))
+                return _open(_client_configuration(address, shown, left))
             except zenoh.ZError:
-                refusal = why_not_admitted(address, shown, ATTEMPT_SECONDS)
-                cause = refusal or _SILENCE[shown is not None]
+                cause, refusal = _why_not(address, shown)
         waited = time.monotonic() - began
         if refusal is not None and waited >= min(timeout, REFUSED_SECONDS):
             raise NotAdmitted(f"the learner at {address} was reached and not joined: {refusal}")
@@ -222,14 +240,22 @@ def _connect(
             )
 
 
-def _client_configuration(address: str, shown: Certificates | None) -> zenoh.Config:
+def _why_not(address: str, shown: Certificates | None) -> tuple[str, str | None]:
+    """Return why an attempt was in vain, and the same again if the cause is a want of trust."""
+    cause = _probe(address)
+    refusal = None if cause else why_not_admitted(address, shown, ATTEMPT_SECONDS)
+    return cause or refusal or _SILENCE[shown is not None], refusal
+
+
+def _client_configuration(address: str, shown: Certificates | None, seconds: float) -> zenoh.Config:
+    attempt = min(seconds, ATTEMPT_SECONDS if shown is None else SECURE_ATTEMPT_SECONDS)
     return _configuration(
         "client",
         shown,
         {
             "listen/endpoints": [],
             "connect/endpoints": [address],
-            "connect/timeout_ms": int(ATTEMPT_SECONDS * 1000),
+            "connect/timeout_ms": int(attempt * 1000),
             "connect/exit_on_failure": True,
             "connect/retry": RETRY,
             "transport/link/rx/max_message_size": LARGEST_POLICY,
@@ -271,7 +297,8 @@ def undeclare_quietly(declared: Declared) -> None:
 def doubt_about_certificate(session: zenoh.Session) -> str:
     """Return what to add where a learner is silent: it may be reached and yet not speak to this client."""
     secure = address_of(session).startswith("tls/")
-    return "; or it does not let this certificate do that, which its log tells" if secure else ""
+    doubt = "; perhaps the learner does not let this certificate take part in that way: its log tells"
+    return doubt if secure else ""
 
 
 def address_of(session: zenoh.Session) -> str:

@@ -296,7 +296,8 @@ class ChunkUploader(Closing):
         elif now - self._silent_since >= COMPLAINT_SECONDS:
             self._silent_since = math.inf
             _log.warning(
-                "the learner at %s is connected but takes no chunks of %s: see its log%s",
+                "connected to %s, where nobody takes chunks of %s: see the learner's log, or a router is "
+                "there whose learner is away%s",
                 address_of(self._session),
                 self._actor,
                 doubt_about_certificate(self._session),
@@ -308,7 +309,7 @@ class ChunkUploader(Closing):
         with self._changed:
             pause = self._pause_after(outcome)
             if outcome is not _Outcome.REWIND:
-                self._window.rewind()
+                self._window.rewind(turned_away=outcome is _Outcome.BUSY)
             self._changed.notify_all()
         self._closed.wait(pause)
 

@@ -18,7 +18,8 @@ class UploadStatistics:
     Attributes:
         produced: made by the actor: taken from it, or given up because the bound was reached.
         acknowledged: stored by the learner.
-        resent: sent once more, after silence, "busy" or a rewind.
+        resent: sent once more, after silence or a rewind.
+        turned_away: sent once more because the learner had no use for it yet, each time; it says "busy".
         given_up: for whatever reason.
         waiting: held, not yet acknowledged.
         given_up_by_reason: the same by reason, each of `REASONS`.
@@ -27,6 +28,7 @@ class UploadStatistics:
     produced: int
     acknowledged: int
     resent: int
+    turned_away: int
     given_up: int
     waiting: int
     given_up_by_reason: dict[str, int]
@@ -45,6 +47,8 @@ class UploadWindow:
         self._sent_up_to = 0
         self._acknowledged = 0
         self._resent = 0
+        self._turned_away_up_to = 0
+        self._turned_away = 0
         self._given_up: dict[str, int] = dict.fromkeys(REASONS, 0)
 
     def __len__(self) -> int:
@@ -101,7 +105,9 @@ class UploadWindow:
         if encoded is None or (largest is not None and len(encoded) > largest):
             return None
         self._next += 1
-        if sequence < self._sent_up_to:
+        if sequence < self._turned_away_up_to:
+            self._turned_away += 1
+        elif sequence < self._sent_up_to:
             self._resent += 1
         self._sent_up_to = max(self._sent_up_to, self._next)
         return sequence, next(iter(self._held)), encoded
@@ -115,9 +121,10 @@ class UploadWindow:
         self._next = max(self._next, min(next_sequence, self._sent_up_to))
         return len(settled)
 
-    def rewind(self) -> None:
-        """Begin again with the oldest held chunk."""
+    def rewind(self, turned_away: bool = False) -> None:
+        """Begin again with the oldest held chunk; `turned_away` if the learner had no use for it yet."""
         self._next = next(iter(self._held), self._added)
+        self._turned_away_up_to = self._sent_up_to if turned_away else 0
 
     def rewind_to(self, sequence: int) -> None:
         """Begin again with `sequence`, or with the oldest held chunk if that is newer."""
@@ -144,6 +151,7 @@ class UploadWindow:
             produced=self._added + self._given_up["bound"],
             acknowledged=self._acknowledged,
             resent=self._resent,
+            turned_away=self._turned_away,
             given_up=sum(self._given_up.values()),
             waiting=len(self._held),
             given_up_by_reason=dict(self._given_up),

@@ -16,11 +16,21 @@ from athrl_protocol import Chunk, LevelColumns, open_session
 PATIENCE = 30.0
 
 
-@pytest.fixture
-def address() -> str:
+def free_address() -> str:
+    """Return one at which nobody listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def address() -> str:
+    return free_address()
+
+
+@pytest.fixture
+def other_address() -> str:
+    return free_address()
 
 
 @pytest.fixture

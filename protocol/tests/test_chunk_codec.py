@@ -22,6 +22,7 @@ from athrl_protocol import (
 )
 from athrl_protocol.chunk_codec import MAXIMUM_IMAGES_BYTES, with_oldest_held
 from athrl_protocol.image_codec import Compression
+from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as some
 from hypothesis.extra import numpy as arrays
@@ -29,6 +30,8 @@ from hypothesis.extra import numpy as arrays
 COMPRESSIONS: tuple[Compression, ...] = ("zstd", "lz4", "none")
 _finite = some.floats(-1e6, 1e6, width=32)
 _quick = settings(max_examples=40, deadline=None)
+_LENGTH_OF_1280 = b"\x80\x0a"
+"""How protobuf writes how many bytes the images of a small chunk have."""
 
 
 @some.composite
@@ -120,6 +123,94 @@ def test_damaged_message_is_refused_or_still_a_valid_chunk(
     cut = data.draw(some.integers(1, len(payload)))
     with contextlib.suppress(InvalidMessage):
         encode_chunk(decode_chunk(bytes(payload[:cut])))
+
+
+def _outcome(payload: bytes) -> object:
+    """The chunk in a message, plain, or what it is refused for."""
+    try:
+        return _plain(decode_chunk(payload))
+    except InvalidMessage as error:
+        return error.reason
+
+
+@_quick
+@given(chunks(), some.sampled_from(COMPRESSIONS))
+def test_images_are_read_wherever_they_stand_in_the_message(chunk: Chunk, compression: Compression) -> None:
+    encoded = encode_chunk(chunk, compression)
+    by_number = athrl_pb2.Chunk.FromString(encoded).SerializeToString()
+    message = athrl_pb2.Chunk.FromString(encoded)
+    message.ClearField("images")
+    images = athrl_pb2.Chunk(images=athrl_pb2.Chunk.FromString(encoded).images).SerializeToString()
+    assert sorted(by_number) == sorted(encoded)
+    assert _plain(chunk) == _outcome(by_number) == _outcome(message.SerializeToString() + images)
+
+
+@_quick
+@given(some.data(), some.sampled_from(COMPRESSIONS))
+def test_damaged_message_is_read_as_protobuf_reads_it(
+    data: some.DataObject, compression: Compression
+) -> None:
+    payload = bytearray(encode_chunk(data.draw(chunks()), compression))
+    for _ in range(data.draw(some.integers(0, 3))):
+        payload[data.draw(some.integers(0, min(40, len(payload) - 1)))] = data.draw(some.integers(0, 255))
+    damaged = bytes(payload[: data.draw(some.integers(1, len(payload)) | some.just(len(payload)))])
+    try:
+        by_protobuf = athrl_pb2.Chunk.FromString(damaged)
+    except DecodeError:
+        assert _outcome(damaged) == "malformed"
+    else:
+        assert _outcome(damaged) == _outcome(by_protobuf.SerializeToString())
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_of_images_that_come_twice_the_last_count(
+    make_chunk: Callable[..., Chunk], compression: Compression
+) -> None:
+    chunk = dataclasses.replace(make_chunk(), actor="a")
+    other = dataclasses.replace(chunk, images=chunk.images[::-1])
+    images = athrl_pb2.Chunk.FromString(encode_chunk(other, compression)).images
+    payload = encode_chunk(chunk, compression) + athrl_pb2.Chunk(images=images).SerializeToString()
+    assert _outcome(payload) == _plain(other)
+
+
+@pytest.mark.parametrize("length", [b"", b"\x80", b"\xff" * 5 + b"\x01", b"\xff" * 9 + b"\x01", b"\xff" * 11])
+def test_images_of_impossible_length_are_malformed(make_chunk: Callable[..., Chunk], length: bytes) -> None:
+    payload = encode_chunk(dataclasses.replace(make_chunk(), actor="a"), "none")
+    head, rest = payload.split(_LENGTH_OF_1280, 1)
+    assert _outcome(head + length) == "malformed"
+    if len(length) > 1:
+        assert _outcome(head + length + rest) == "malformed"
+
+
+def test_length_may_be_written_in_more_bytes_than_it_needs(make_chunk: Callable[..., Chunk]) -> None:
+    chunk = dataclasses.replace(make_chunk(), actor="a")
+    payload = encode_chunk(chunk, "none")
+    padded = payload.replace(_LENGTH_OF_1280, b"\x80\x8a\x00", 1)
+    assert _outcome(padded) == _plain(chunk)
+
+
+def test_images_that_are_not_compressed_are_not_copied(make_chunk: Callable[..., Chunk]) -> None:
+    payload = encode_chunk(dataclasses.replace(make_chunk(), actor="a"), "none")
+    images = decode_chunk(payload).images
+    assert np.shares_memory(images, np.frombuffer(payload, np.uint8))
+    assert not images.flags.writeable
+
+
+def test_columns_that_are_not_contiguous_are_encoded(make_chunk: Callable[..., Chunk]) -> None:
+    chunk = dataclasses.replace(make_chunk(), actor="a")
+
+    def spread(column: np.ndarray) -> np.ndarray:
+        return np.repeat(column, 2, axis=0)[::2]
+
+    level = chunk.levels["trajectory"]
+    scattered = dataclasses.replace(
+        chunk,
+        images=spread(chunk.images),
+        motion=spread(chunk.motion),
+        policy_version=spread(chunk.policy_version),
+        levels=chunk.levels | {"trajectory": LevelColumns(*map(spread, vars(level).values()))},
+    )
+    assert encode_chunk(scattered, "none") == encode_chunk(chunk, "none")
 
 
 def test_decoded_columns_are_read_only(make_chunk: Callable[..., Chunk]) -> None:

@@ -187,7 +187,7 @@ def test_gap_is_asked_for_again_and_every_chunk_is_stored_once_in_order(
         assert intake.statistics().gaps >= 1
         assert intake.statistics().lost == 0
     assert marks == list(range(8))
-    assert uploader.statistics().resent >= 2
+    assert uploader.statistics().turned_away >= 2
 
 
 def test_acknowledged_only_after_it_was_accepted(

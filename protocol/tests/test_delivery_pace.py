@@ -10,7 +10,7 @@ import pytest
 import zenoh
 from athrl_protocol import Chunk, ChunkIntake, ChunkUploader, IntakeBusy, new_incarnation
 from athrl_protocol import upload as upload_module
-from athrl_protocol.intake import CREDITS
+from athrl_protocol.credits import CREDITS
 from athrl_protocol.upload_pace import HELD_WHILE_BUSY
 
 PATIENCE = 30.0
@@ -57,9 +57,10 @@ def test_actor_runs_ahead_of_an_absent_learner_but_not_of_a_busy_one(
         with ChunkIntake(session, RUN, receiver) as intake:
             _submit(uploader, make_chunk, range(1))
             assert uploader.flush(PATIENCE)
+            turned_away = uploader.statistics().turned_away
             receiver.raises = IntakeBusy()
             _submit(uploader, make_chunk, range(1, 2))
-            eventually(lambda: uploader.statistics().resent > 0)  # it was told
+            eventually(lambda: uploader.statistics().turned_away > turned_away)  # it was told
             held = 1
             while uploader.submit(make_chunk(1 + held), 0.2):
                 held += 1
@@ -140,9 +141,10 @@ def test_uploader_rests_once_the_run_is_over(
     ):
         _submit(uploader, make_chunk, range(1))
         assert uploader.flush(PATIENCE)
+        turned_away = uploader.statistics().turned_away
         receiver.raises = IntakeBusy()
         _submit(uploader, make_chunk, range(1, HELD_WHILE_BUSY))
-        eventually(lambda: uploader.statistics().resent > 0)  # it was told
+        eventually(lambda: uploader.statistics().turned_away > turned_away)  # it was told
         _submit(uploader, make_chunk, range(HELD_WHILE_BUSY, HELD_WHILE_BUSY + 1))
         intake.stop_accepting(finished=True)
         eventually(lambda: uploader.finished)

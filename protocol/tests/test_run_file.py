@@ -76,6 +76,7 @@ def test_served_run_file_of_another_release_is_refused() -> None:
     [
         ("[learner]\nbach = 64", ["learner.bach is no setting", "did you mean learner.batch?"]),
         ("[lerner]\nbatch = 64", ["lerner is no section", "did you mean learner?"]),
+        ("[tool.other]", ["tool is no section", "one of run, environment, "]),
         ("batch = 64", ["batch is no section", "did you mean learner.batch?"]),
         ("[replay]\nbatch = 64", ["replay.batch is no setting", "did you mean learner.batch?"]),
         ("learner = 3", ["learner = 3", "should be a table"]),

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 import zenoh
-from athrl_protocol import AddressInUse, LearnerNotFound, ProtocolError, open_session
+from athrl_protocol import AddressInUse, LearnerNotFound, ProtocolError, complete_address, open_session
 
 PATIENCE = 30.0
 Open = Callable[[], zenoh.Session]
@@ -72,13 +72,17 @@ def test_address_of_another_machine_cannot_be_listened_at() -> None:
         open_session(listen="tcp/192.0.2.1:7447", timeout=0.1)
 
 
-@pytest.mark.parametrize(
-    "address", ["", "7447", "tcp/7447", "tcp/host:", "tcp/:7447", "udp/a:1", "tcp/a:0", "a:x"]
-)
+@pytest.mark.parametrize("address", ["", "7447", "tcp/7447", "tcp/host:", "tcp/:7447", "udp/a:1", "a:x"])
 def test_what_is_no_address_is_refused_with_an_example(address: str) -> None:
     for place in ({"listen": address}, {"connect": address}):
         with pytest.raises(ProtocolError, match=r"should look like tcp/127.0.0.1:7447"):
             open_session(timeout=PATIENCE, **place)
+
+
+@pytest.mark.parametrize("address", ["tcp/a:0", "a:65536", "tls/a:99999", "tcp/a:" + "9" * 5000])
+def test_port_that_there_is_not_is_refused_with_those_that_there_are(address: str) -> None:
+    with pytest.raises(ProtocolError, match=r"its port should be 1 to 65535$"):
+        complete_address(address, secure=True)
 
 
 def test_client_waits_for_a_learner_that_comes_later(address: str) -> None:

@@ -68,6 +68,21 @@ def test_rewind_sends_again_from_the_oldest_held() -> None:
     assert window.statistics().resent == 2
 
 
+def test_chunk_that_was_turned_away_is_not_counted_as_sent_again_for_want_of_an_answer() -> None:
+    window = UploadWindow()
+    for number in range(3):
+        window.add(b"%d" % number)
+        window.take()
+    window.rewind(turned_away=True)
+    window.take()
+    window.rewind(turned_away=True)
+    window.take()
+    window.rewind()
+    window.take()
+    counts = window.statistics()
+    assert (counts.turned_away, counts.resent) == (2, 1)
+
+
 @pytest.fixture
 def numbered(make_chunk: Callable[..., Chunk]) -> Callable[..., Chunk]:
     def make(sequence: int, oldest_held: int = 0, incarnation: int = 1) -> Chunk:

@@ -20,7 +20,7 @@ class Evidence:
 
     Attributes:
         produced: every chunk that was made, with its content.
-        settled: event -> chunks: acknowledged, refused, given-up.
+        settled: event -> chunks: acknowledged, refused, given-up, unencoded.
         acknowledged_at: moments (monotonic seconds) of each actor's acknowledgements, in order.
         counters: of the lives that ended in order.
     """

@@ -98,13 +98,13 @@ def compare(evidence: Evidence, log: Log) -> Account:
 def imbalances(evidence: Evidence, log: Log, checkpoints: Path, floods: list[Flood]) -> list[str]:
     """Return every counter that does not agree with the others, one line each."""
     return [
-        *_actors_imbalances(evidence),
+        *actors_imbalances(evidence),
         *_learner_imbalances(log, checkpoints),
         *_refusals_imbalances(evidence, log, floods),
     ]
 
 
-def _actors_imbalances(evidence: Evidence) -> list[str]:
+def actors_imbalances(evidence: Evidence) -> list[str]:
     """Each orderly life's own counters against what it wrote down while it lived."""
     events = {
         "produced": Counter(identity[:2] for identity in evidence.produced),
@@ -113,10 +113,13 @@ def _actors_imbalances(evidence: Evidence) -> list[str]:
     empty: Counter[tuple[str, int]] = Counter()
     found = []
     for life, counters in evidence.counters.items():
+        acknowledged, refused, given_up, unencoded = (
+            events.get(event, empty)[life] for event in ("acknowledged", "refused", "given-up", "unencoded")
+        )
         seen = {
-            "produced": events["produced"][life],
-            "acknowledged": events.get("acknowledged", empty)[life],
-            "given_up": events.get("refused", empty)[life] + events.get("given-up", empty)[life],
+            "produced": events["produced"][life] + unencoded,
+            "acknowledged": acknowledged,
+            "given_up": refused + given_up + unencoded,
         }
         # What was left out for want of room never came to the window, so nobody wrote it down.
         left_out = counters["given_up_by_reason"]["bound"]

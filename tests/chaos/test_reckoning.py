@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import random
 import socket
 import sys
@@ -20,15 +21,17 @@ sys.path.insert(0, str(Path(__file__).parents[2]))  # tests is no installed pack
 import numpy as np
 from athrl_learner.segments import Kind, SegmentLog
 from athrl_protocol import Chunk, InvalidMessage, LevelColumns, decode_chunk, encode_chunk
+from athrl_protocol.upload_window import Reason, UploadWindow
 
 from tests.chaos.content import read_chunk
 from tests.chaos.cutter import HOST, Cutter, Link
 from tests.chaos.evidence import Evidence
 from tests.chaos.flood import malformed_messages
 from tests.chaos.outages import Outage, longest_stall
-from tests.chaos.reckoning import Account, compare, read_log
+from tests.chaos.reckoning import Account, actors_imbalances, compare, read_log
 from tests.chaos.schedule import Fault, Group
 from tests.chaos.schedule import Kind as FaultKind
+from tests.chaos.witness import WitnessedWindow
 
 CHUNKS = 6
 WAIT = 0.3
@@ -117,6 +120,45 @@ def test_missing_segment_is_told(tmp_path: Path) -> None:
     log.append(Kind.CHUNK, MESSAGES[0])
     log.close()
     assert any("comes where 6 should" in problem for problem in read_log(tmp_path / "experience").problems)
+
+
+@pytest.fixture
+def window(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[WitnessedWindow]:
+    """An uploader's window that writes into `a.txt`."""
+    descriptor = os.open(tmp_path / "a.txt", os.O_WRONLY | os.O_CREAT)
+    monkeypatch.setattr(WitnessedWindow, "descriptor", descriptor)
+    yield WitnessedWindow()
+    os.close(descriptor)
+
+
+@pytest.mark.parametrize("reason", ["finished", "closed"])
+def test_chunk_that_is_given_up_before_it_is_encoded_is_accounted_for(
+    tmp_path: Path, window: WitnessedWindow, reason: Reason
+) -> None:
+    for message in MESSAGES[:4]:
+        window.add(message)
+    for _ in range(3):
+        assert window.take() is not None
+    window.acknowledge(2)
+    window.reserve()
+    window.leave_out(2)
+    window.give_up_all(reason)
+    window.give_up_all("closed")
+    evidence = Evidence(tmp_path)
+    evidence.read()
+    assert evidence.counters["a", 7]["given_up"] == 5
+    assert actors_imbalances(evidence) == []
+
+
+def test_chunk_that_an_actor_never_told_of_is_an_imbalance(tmp_path: Path, window: WitnessedWindow) -> None:
+    window.add(MESSAGES[0])
+    UploadWindow.put(window, window.reserve(), MESSAGES[1])
+    UploadWindow.give_up_all(window, "closed")
+    window.give_up_all("closed")
+    evidence = Evidence(tmp_path)
+    evidence.read()
+    (imbalance,) = actors_imbalances(evidence)
+    assert "wrote down {'produced': 1" in imbalance
 
 
 def test_stall_counts_only_while_all_is_well() -> None:

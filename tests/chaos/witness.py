@@ -6,8 +6,9 @@ Each line of the file is written in one piece as it happens, so it is there what
 
     event time actor incarnation sequence length digest
 
-The event is produced, acknowledged, refused or given-up, the time the machine's monotonic clock. An actor
-that ends in order adds its counters: statistics time actor incarnation JSON.
+The event is produced, acknowledged, refused, given-up or unencoded, the time the machine's monotonic clock. A
+chunk is unencoded, with length 0 and digest -, that was given up before it had a content. An actor that ends
+in order adds its counters: statistics time actor incarnation JSON.
 """
 
 from __future__ import annotations
@@ -64,10 +65,13 @@ class WitnessedWindow(UploadWindow):
 
     def _settle(self, event: str, before: list[int]) -> None:
         for sequence in before:
-            # One that was given up before it was encoded has no content to tell of.
-            if sequence not in self._held and sequence in self._known:
+            if sequence in self._held:
+                continue
+            if sequence in self._known:
                 self._tell(event, sequence)
                 del self._known[sequence]
+            elif self._last is not None:
+                self._write("unencoded", self._last.actor, self._last.incarnation, sequence, 0, "-")
 
     def _tell(self, event: str, sequence: int) -> None:
         identity, content = self._known[sequence]

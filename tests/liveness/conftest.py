@@ -12,6 +12,10 @@ STEADY = {
     "run.environment_steps": 10_000_000,
     "replay.capacity": 20_000,
     "learner.samples_per_insert": 0.1,  # so that no actor waits for training
+    "learner.publish_seconds": 0.1,
+    # Not a small one: who publishes it to a paused router is soon in the middle of sending.
+    "planner.hidden_features": 256,
+    "planner.recurrent_features": 128,
     "learner.checkpoint_seconds": 10.0,
     "learner.checkpoints_kept": 1000,
     "evaluator.seconds_between": 0.0,

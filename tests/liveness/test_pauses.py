@@ -13,6 +13,8 @@ from tests.liveness.fleet import RETURN, STARTING, Fleet
 pytestmark = pytest.mark.timeout(900)
 
 PAUSE = 30.0
+SHORT_PAUSE, SHORT_PAUSES = 7.0, 3
+"""Just longer than the lease: whoever sends to a paused router is still at it when the router is back."""
 ACTORS = ("near", "distant")
 
 
@@ -53,6 +55,14 @@ def test_run_goes_on_when_paused_services_are_let_go(everybody: Fleet, record_pr
         fleet.await_word("evaluator", RETURN)
         for name in ACTORS:
             _await_policy(fleet, name, published)
+
+        for _ in range(SHORT_PAUSES):
+            fleet.signal(["router"], signal.SIGSTOP)
+            time.sleep(SHORT_PAUSE)
+            mark = fleet.mark()
+            fleet.signal(["router"], signal.SIGCONT)
+            record_property("after the router's pause", fleet.await_storing(["distant"], mark, RETURN))
+            time.sleep(1.0)
         fleet.leave()
 
 

@@ -14,6 +14,7 @@ import pytest
 import zenoh
 from athrl.certificates import AUTHORITY, Identity, _load_authority, _new_role, _write_role
 from athrl_protocol import LearnerNotFound, NotAdmitted, ProtocolError, fetch_run_file, open_session
+from athrl_protocol.certificates import find_certificates
 
 from athrl import certificates
 
@@ -109,7 +110,9 @@ def test_certificate_without_a_role_may_do_nothing(
     authority: Identity = _load_authority(ours)
     _write_role(stranger, _new_role(authority, "stranger", [], days=1), authority)
     with open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, certificates=stranger) as session:
-        with pytest.raises(LearnerNotFound, match="does not let this certificate do that"):
+        with pytest.raises(
+            LearnerNotFound, match="; perhaps the learner does not let this certificate take part"
+        ):
             fetch_run_file(session, "guarded", timeout=2.0)
         heard: list[str] = []
         session.declare_subscriber("athrl/**", lambda sample: heard.append(str(sample.key_expr)))
@@ -148,6 +151,72 @@ def test_nobody_else_can_pass_for_the_learner(sessions, port: int, ours: Path) -
     )
     with pytest.raises(NotAdmitted, match="its certificate is not good"):
         open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+
+
+def test_service_does_not_start_with_a_certificate_that_no_client_would_accept(
+    command, tiny: list[str], port: int, ours: Path
+) -> None:
+    """An actor's key mounted at the learner: nobody could join, and it would wait for ever."""
+    wrong = ("--certificates", str(ours / "actor"))
+    result = command.run("learner", *tiny, "--set", "run.name=guarded", *wrong, seconds=SECONDS)
+    one_line(result, "actor/tls.crt", "unsuitable certificate purpose", "a learner")
+    address = f"127.0.0.1:{port}"
+    result = command.run("router", "--listen", address, "--connect", address, *wrong, seconds=SECONDS)
+    one_line(result, "actor/tls.crt", "unsuitable certificate purpose", "a router")
+
+
+def test_certificate_of_another_role_is_refused_before_a_learner_is_looked_for(
+    command, tiny: list[str], ours: Path
+) -> None:
+    for role, other in (("actor", "viewer"), ("evaluator", "learner")):
+        result = command.run(role, "--certificates", str(ours / other), seconds=PATIENCE)
+        one_line(result, f"ours/{other}: its certificate is for the role {other}", f"be for {role}")
+
+
+def test_run_is_not_begun_with_the_certificate_of_a_single_role(command, tiny: list[str], ours: Path) -> None:
+    """Its actors and its evaluator would never get in, and it would wait for them for ever."""
+    by_setting = ["--set", f"network.certificates={ours / 'learner'}"]
+    for words in (["--certificates", str(ours / "learner")], by_setting):
+        result = command.run("train", *tiny, *words, seconds=PATIENCE)
+        one_line(result, "ours/learner: it has the certificate of the role learner alone")
+    assert not list(command.folder.rglob("run.toml"))
+
+
+def test_who_may_not_see_all_of_a_run_is_told_so(command, learner_process, port: int, ours: Path) -> None:
+    for role in ("actor", "evaluator"):
+        result = status(command, port, "--certificates", str(ours / role))
+        assert result.returncode == 0
+        assert result.stderr.count("\n") == 1
+        assert f"its role {role} may not read evaluations" in result.stderr
+    for role in ("viewer", "learner"):
+        assert status(command, port, "--certificates", str(ours / role)).stderr == ""
+
+
+def test_run_with_certificates_is_not_resumed_without_them(
+    command, tiny: list[str], ours: Path, eventually
+) -> None:
+    """It would take anybody in, and nobody would be told."""
+    shown = ("--certificates", str(ours))
+    process = command.start("learner", *tiny, "--set", "run.name=guarded", *shown)
+    eventually(lambda: "listens at tls/" in command.said(process), SECONDS)
+    process.terminate()
+    assert process.wait(timeout=SECONDS) == 0
+    once_more = [*tiny, "--set", "run.name=guarded", "--resume-if-present"]
+    for without in (["--resume", "guarded"], once_more):
+        one_line(command.run("learner", *without, seconds=SECONDS), "tls/", "--certificates")
+    process = command.start("learner", "--resume", "guarded", *shown)
+    eventually(lambda: "listens at tls/" in command.said(process), SECONDS)
+    process.terminate()
+    assert process.wait(timeout=SECONDS) == 0
+
+
+def test_expired_certificate_is_named_by_who_would_serve_with_it(ours: Path, monkeypatch) -> None:
+    monkeypatch.setattr(certificates, "CLOCK_DIFFERENCE", datetime.timedelta(days=9))
+    certificates.renew_roles(ours, ["learner"], None, days=-1)
+    shown = find_certificates(ours, "learner")
+    assert shown is not None
+    with pytest.raises(ProtocolError, match=r"learner/tls.crt is no .* \(certificate has expired\)"):
+        shown.check_may_serve("learner")
 
 
 def test_expired_certificate_is_named(learner: zenoh.Session, port: int, ours: Path, monkeypatch) -> None:

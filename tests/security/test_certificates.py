@@ -105,6 +105,27 @@ def test_wrong_words_are_one_line_each(tmp_path: Path) -> None:
             certificates._hosts([wrong])
 
 
+@pytest.mark.parametrize("options", [[], ["--if-missing"], ["--renew", "actor"]])
+@pytest.mark.parametrize("folder", ["README.md", "README.md/x"])
+def test_file_in_place_of_the_folder_is_named_and_left_alone(
+    command, folder: str, options: list[str]
+) -> None:
+    file = command.folder / "README.md"
+    file.write_text("read me")
+    result = command.run("certificates", folder, *options, seconds=30)
+    assert result.returncode == 2
+    assert result.stderr.splitlines() == [
+        f"athrl: {folder}: README.md is a file, it should be a folder, or a name that is free"
+    ]
+    assert file.read_text() == "read me"
+
+
+def test_folder_that_became_a_file_is_one_line_too(tmp_path: Path) -> None:
+    (tmp_path / "authority").write_text("no folder")
+    with pytest.raises(CommandError, match=r"cannot write .*/authority/tls\.key: "):
+        certificates.make_all(tmp_path, ["localhost"], days=365)
+
+
 def test_failed_writing_leaves_the_old_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     certificates.make_all(tmp_path, ["localhost"], days=365)
     before = contents(tmp_path)

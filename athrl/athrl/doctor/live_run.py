@@ -120,5 +120,6 @@ def _lag(values: dict[str, float]) -> Finding:
     lag = values.get("policy_lag", 0.0)
     seen = f"the worst actor's last chunk was {lag:.0f} versions behind"
     if lag > LAG_VERSIONS:
-        return warning("policy lag", seen, "its machine or its network is too slow: look at athrl status")
+        cause = "it hands over what it made while the learner was away, or its machine or network is too slow"
+        return warning("policy lag", seen, f"{cause}: look at athrl status")
     return ok("policy lag", seen)

@@ -15,9 +15,9 @@ from athrl_protocol.run_file import RunFile
 from athrl_protocol.session import require_free
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from athrl.certificates import RENEWAL_DAYS
+from athrl.certificates import RENEWAL_DAYS, common_name
 from athrl.doctor.finding import Finding, failed, findings_of, ok, warning
 
 LOOPBACK = ("127.", "localhost", "::1")
@@ -60,7 +60,7 @@ def _role(folder: Path, role: str | None) -> Iterator[Finding]:
     found = find_certificates(folder, role or "viewer")
     assert found is not None
     certificate = x509.load_pem_x509_certificate(found.certificate.read_bytes())
-    name = _common_name(certificate)
+    name = common_name(certificate)
     check = f"certificate {role or name}"
     remedy = f"athrl certificates {folder} --renew {role or name}"
     problems = [
@@ -72,11 +72,6 @@ def _role(folder: Path, role: str | None) -> Iterator[Finding]:
     yield from problems
     if not problems:
         yield ok(check, f"valid until {certificate.not_valid_after_utc:%Y-%m-%d}")
-
-
-def _common_name(certificate: x509.Certificate) -> str:
-    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(names[0].value) if names else ""
 
 
 def _wrong_role(

@@ -36,6 +36,14 @@ def read_comparison(folder: Path, since: float) -> dict[str, Any]:
     raise CommandError(f"the run is finished, but its closing comparison is missing: see {folder / 'logs'}")
 
 
+def compared_decisions(folder: Path) -> int:
+    """Return after how many decisions a run's closing comparison was made; 0 where there is none."""
+    try:
+        return int(json.loads((folder / "evaluation.json").read_text())["environment_steps"])
+    except (OSError, ValueError, KeyError, TypeError):  # not there, or not what a run writes
+        return 0
+
+
 def comparison_table(comparison: dict[str, Any]) -> Table:
     """Return a table with a row a driver; the return is shown with its 95 % interval."""
     drivers: dict[str, dict[str, float]] = comparison["drivers"]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import time
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from athrl_protocol.certificates import VARIABLE
 from athrl_protocol.run_file import read_run_file
 from rich.console import Console
 
@@ -15,8 +19,9 @@ from athrl.errors import CommandError, say
 from athrl.names import program
 from athrl.options import CertificatesOption, RunFileOption, SetOption, overrides, use_certificates
 from athrl.services import CHECKPOINT_SECONDS
+from athrl.single_role import require_all_roles
 from athrl.stopping import stop_on_signal
-from athrl.train.closing import comparison_table, read_comparison
+from athrl.train.closing import compared_decisions, comparison_table, read_comparison
 from athrl.train.display import Display
 from athrl.train.plan import Plan, actors_that_fit, require_services, require_world
 from athrl.train.session import STOP_SECONDS, TrainingSession
@@ -68,7 +73,7 @@ def train(
     if plan.settings.serial.enabled:
         finished = _run_serially(plan, stop_at)
     else:
-        finished = _run_distributed(plan, actors or actors_that_fit(), viewer_port)
+        finished = _run_distributed(plan, actors or actors_that_fit(), viewer_port, certificates)
     if not finished:
         say(f"stopped; to go on: {_to_go_on(plan)}")
         raise typer.Exit(INTERRUPTED)
@@ -76,9 +81,9 @@ def train(
     print(f"policy: {plan.folder / 'policies' / 'latest.onnx'}")
 
 
-def _run_distributed(plan: Plan, actors: int, viewer_port: int) -> bool:
+def _run_distributed(plan: Plan, actors: int, viewer_port: int, certificates: Path | None) -> bool:
     """Run learner, actors and evaluator as processes; whether the run is finished."""
-    use_certificates(plan.settings.network.certificates)
+    require_all_roles(use_certificates(plan.settings.network.certificates) or certificates)
     with Display() as display:
         supervisor = Supervisor(display.say)
         with stop_on_signal(before_exit=supervisor.kill, within=STOP_SECONDS) as stop:
@@ -87,7 +92,10 @@ def _run_distributed(plan: Plan, actors: int, viewer_port: int) -> bool:
 
 def _run_serially(plan: Plan, stop_at: int | None) -> bool:
     """Drive and train in turns in this process; whether the run is finished."""
-    with Display() as display, stop_on_signal(within=CHECKPOINT_SECONDS) as stop:
+    with ExitStack() as stack:
+        display = stack.enter_context(Display())
+        stopping = partial(display.say, "stopping after this round; once more stops at once")
+        stop = stack.enter_context(stop_on_signal(on_stop=stopping, within=CHECKPOINT_SECONDS))
         display.say(f"run {plan.settings.run.name} in {plan.folder}: serial, fingerprints in trace.txt")
         from athrl.serial.session import run_serial
 
@@ -100,7 +108,10 @@ def _run_serially(plan: Plan, stop_at: int | None) -> bool:
 
 
 def _to_go_on(plan: Plan) -> str:
-    return f"{program('athrl')} train --resume {plan.folder}"
+    command = f"{program('athrl')} train --resume {plan.folder}"
+    folder = os.environ.get(VARIABLE)
+    kept = plan.settings.network.certificates or plan.settings.serial.enabled
+    return command if kept or not folder else f"{command} --certificates {folder}"
 
 
 def _require_fitting(plan: Plan, actors: int | None, stop_at: int | None) -> None:
@@ -119,6 +130,12 @@ def _require_fitting(plan: Plan, actors: int | None, stop_at: int | None) -> Non
             if began_serial
             else f"{plan.folder} is a distributed run, whose checkpoints hold no environments: "
             "go on without --serial"
+        )
+    decisions, wanted = compared_decisions(plan.folder), plan.settings.run.environment_steps
+    if not serial and decisions >= wanted:
+        raise CommandError(
+            f"{plan.folder} is finished, with {decisions} of {wanted} decisions and its comparison in "
+            f"evaluation.json: to make it longer add --set run.environment_steps={2 * wanted}"
         )
 
 

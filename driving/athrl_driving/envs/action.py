@@ -62,7 +62,7 @@ def checked_actions(actions: NDArray[np.floating], shape: tuple[int, ...]) -> ND
     except (TypeError, ValueError):
         raise DrivingError(f"the action is {actions!r}, it should be float32 {list(shape)}") from None
     if checked.shape != shape:
-        what = "action has" if len(shape) == 1 else "actions have"
+        what = "action has" if len(shape) == 1 else "array of actions has"
         raise DrivingError(f"the {what} shape {checked.shape}, it should be {shape}")
     # In double precision a sum of finite single ones is finite; NumPy's isfinite().all() takes 3 us.
     if not math.isfinite(sum(checked.ravel().tolist())):

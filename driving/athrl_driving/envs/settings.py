@@ -90,6 +90,15 @@ def first_settings(defaults: Mapping[str, Any], scenario: str | None) -> dict[st
     return {**defaults, **SCENARIOS[scenario]}
 
 
+def refuse_arguments(arguments: Mapping[str, Any]) -> None:
+    """Raise TypeError, in one line, if an environment was made with arguments that it does not have."""
+    if arguments:
+        name, value = next(iter(arguments.items()))
+        raise TypeError(
+            f"an environment has no argument {name!r}; a setting is given as config={{{name!r}: {value!r}}}"
+        )
+
+
 def changed_settings(
     present: Mapping[str, Any], changes: Mapping[str, Any] | None, map_name: str | None
 ) -> dict[str, Any]:

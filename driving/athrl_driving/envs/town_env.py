@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from athrl_driving.envs.action import WaypointAction, checked_actions
 from athrl_driving.envs.observation import BirdEyeObservation
 from athrl_driving.envs.row import TownRow
-from athrl_driving.envs.settings import DEFAULTS, changed_settings, first_settings, new_episodes, town_of
+from athrl_driving.envs.settings import (
+    DEFAULTS,
+    changed_settings,
+    first_settings,
+    new_episodes,
+    refuse_arguments,
+    town_of,
+)
 from athrl_driving.episode import BEGIN, DRIVE, SEE, TAKE, TICK, Episodes
 from athrl_driving.errors import DrivingError
 from athrl_driving.maps import Town
@@ -56,7 +63,9 @@ class TownEnv(AbstractEnv):
         render_mode: str | None = None,
         map: str | None = None,
         scenario: str | None = None,
+        **others: Any,
     ) -> None:
+        refuse_arguments(others)
         if render_mode not in (None, "human", "rgb_array"):
             raise DrivingError(f"render_mode is {render_mode!r}, it should be None, 'human' or 'rgb_array'")
         self._map = map

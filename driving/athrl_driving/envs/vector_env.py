@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 from athrl_driving.envs.action import WaypointAction, checked_actions
 from athrl_driving.envs.observation import observation_space
 from athrl_driving.envs.row import TownRow
-from athrl_driving.envs.settings import changed_settings, first_settings, new_episodes, town_of
+from athrl_driving.envs.settings import (
+    changed_settings,
+    first_settings,
+    new_episodes,
+    refuse_arguments,
+    town_of,
+)
 from athrl_driving.envs.town_env import TownEnv
 from athrl_driving.episode import DECIDE
 from athrl_driving.errors import DrivingError
@@ -52,7 +58,9 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         recorded: int = 0,
+        **others: Any,
     ) -> None:
+        refuse_arguments(others)
         if render_mode not in (None, "rgb_array"):
             raise DrivingError(
                 f"render_mode is {render_mode!r}, it should be None or 'rgb_array': "
@@ -61,7 +69,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         self.render_mode = render_mode
         self._viewer: BatchViewer | None = None
         self.num_envs = _whole_number("num_envs", num_envs)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.config = changed_settings(first_settings(TownEnv.default_config(), scenario), config, map)
         self.metadata = {
             "render_modes": ["rgb_array"],
@@ -267,3 +275,12 @@ def _whole_number(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < 1:
         raise DrivingError(f"{name} is {value!r}, it should be a whole number, 1 or more")
     return int(value)
+
+
+def _autoreset_mode(value: str | AutoresetMode) -> AutoresetMode:
+    """Return gymnasium's mode of that name; raises DrivingError in one line for anything else."""
+    try:
+        return AutoresetMode(value)
+    except ValueError:
+        choice = " or ".join(repr(mode.value) for mode in AutoresetMode)
+        raise DrivingError(f"autoreset_mode is {value!r}, it should be {choice}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,7 +99,9 @@ def place_on_map(town: Town, place: tuple[str, int, float]) -> Place:
     road, lane, s = place
     roads = np.array(town.road_name) == road
     if not roads.any():
-        raise DrivingError(f"the map {town.name} has no road {road!r}")
+        near = difflib.get_close_matches(road, town.road_name, n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ": load_town(...).road_name has them all"
+        raise DrivingError(f"the map {town.name} has no road {road!r}{hint}")
     rows = np.flatnonzero(roads & (town.lane_id == lane))
     if not rows.size:
         lanes = ", ".join(str(each) for each in np.unique(town.lane_id[roads]))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athrl_driving.compilation import compiled, inner
+from athrl_driving.compilation import compiled, compiled_once, inner, prepare
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.traffic.columns import EGO_FIELDS, Background, Traffic
@@ -24,6 +24,7 @@ TICK = 0.1
 STANDING = 0.1
 """m/s below which a vehicle stands."""
 
+_COMPILE_SECONDS = 30
 _LEVEL_HEIGHT = 2.5
 _COUNTS = 2
 _SUMS = 4
@@ -57,6 +58,8 @@ def measure_flow(town: Town, vehicles: int, seed: int, minutes: float) -> Flow:
     place_vehicles(traffic, 0, np.random.default_rng(seed), None, 0.0, np.zeros(EGO_FIELDS))
     ticks = round(60.0 * minutes / TICK)
     standing, sums, counts = np.zeros(vehicles), np.zeros(_SUMS), np.zeros(_COUNTS, dtype=np.int64)
+    with compiled_once(drive_and_check, "the measurement of traffic", _COMPILE_SECONDS):
+        prepare(drive_and_check, traffic, ticks, standing, sums, counts)
     drive_and_check(traffic, ticks, standing, sums, counts)
     time = ticks * TICK * vehicles
     driven, free_time, longest, stood = sums.tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -104,9 +104,8 @@ def _check_names(values: dict[str, Any], source: str) -> None:
     known = {setting.name for setting in settings()}
     for section, table in values.items():
         if section not in known_sections:
-            raise RunFileError(
-                f"{source}: {section} is no section{_suggestion(section, known | set(known_sections))}"
-            )
+            instead = _suggestion(section, known | set(known_sections))
+            raise RunFileError(f"{source}: {section} is no section{instead or _choice(known_sections)}")
         if not isinstance(table, dict):
             raise RunFileError(f"{source}: {section} = {_show(table)}: should be a table, [{section}]")
         for key in table:
@@ -114,6 +113,10 @@ def _check_names(values: dict[str, Any], source: str) -> None:
                 raise RunFileError(
                     f"{source}: {section}.{key} is no setting{_suggestion(f'{section}.{key}', known)}"
                 )
+
+
+def _choice(names: Iterable[str]) -> str:
+    return f", it should be one of {', '.join(names)}"
 
 
 def _suggestion(name: str, known: set[str]) -> str:

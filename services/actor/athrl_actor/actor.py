@@ -9,6 +9,7 @@ again leaves. It ends when the run is finished or `stop` is set, and hands over 
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -29,17 +30,21 @@ from athrl_protocol import (
     new_incarnation,
 )
 from athrl_protocol.run_file import RunFile
+from athrl_protocol.session import doubt_about_certificate
 
 from athrl_actor.failures import FailureCount
 from athrl_actor.frames import frame_of_moment
 from athrl_actor.policy_lag import PolicyLag
 from athrl_actor.rollout import Moment, Rollout
 from athrl_actor.seeds import ActorSeeds
+from athrl_actor.silence import Silence
 
 ROLE = "actor"
 METRICS_SECONDS = 1.0
 POLL_SECONDS = 0.2
-DRAIN_SECONDS = 5.0  # for handing over what is left at the end
+# For handing over what is left at the end. Zenoh gives a connection up after five seconds in which nothing
+# passes, and until then all who share a router with somebody who does not read may have to wait.
+DRAIN_SECONDS = 8.0
 
 log = logging.getLogger(__name__)
 
@@ -69,6 +74,9 @@ class Actor:
         run, incarnation = run_file.run.name, new_incarnation()
         self._run_file = run_file
         self._stop = stop
+        # Before the environments: the policy comes while they are made.
+        self._policies = stack.enter_context(PolicySubscriber(session, run))
+        self._states = stack.enter_context(StateSubscriber(session, run))
         self._batch = _make_batch(run_file)
         stack.callback(self._batch.close)
         self._rollout = Rollout(
@@ -79,8 +87,6 @@ class Actor:
             sequence_length=run_file.replay.sequence_length,
             sequences=run_file.longest_chunk // run_file.replay.sequence_length,
         )
-        self._policies = stack.enter_context(PolicySubscriber(session, run))
-        self._states = stack.enter_context(StateSubscriber(session, run))
         self._metrics = stack.enter_context(MetricsPublisher(session, run, ROLE, name))
         self._frames = stack.enter_context(FramePublisher(session, run, ROLE, name))
         self._uploader = stack.enter_context(
@@ -96,6 +102,8 @@ class Actor:
         self._pending: deque[Chunk] = deque()  # not yet taken by the uploader
         self._update: PolicyUpdate | None = None
         self._reported_at = time.monotonic()
+        self._missed_at = time.monotonic() + run_file.network.patience
+        self._doubt = doubt_about_certificate(session)
         self._delivery_seconds = 0.0  # from a policy's publication to its first use
         self._lag = PolicyLag(run_file.actor.policy_lag_versions, self._policies.ask)
         self._failures = FailureCount(run_file.actor.failures_allowed)
@@ -110,8 +118,15 @@ class Actor:
                     self._hand_over(self._drive())
                 else:
                     self._stop.wait(POLL_SECONDS)
+                    self._miss_the_first_policy()
         finally:
             self._drain()
+
+    def _miss_the_first_policy(self) -> None:
+        """Say once that none came; a run has one from its start, so this actor may not be let have it."""
+        if self._rollout.policy_version < 0 and time.monotonic() > self._missed_at:
+            log.warning("no policy has come for %g s%s", self._run_file.network.patience, self._doubt)
+            self._missed_at = math.inf
 
     def _may_drive(self) -> bool:
         """Whether there is a policy, and it is not too old."""
@@ -146,8 +161,7 @@ class Actor:
     def _hand_over(self, chunks: list[Chunk]) -> None:
         """Give chunks to the uploader, waiting while that is full; what is left at the end stays pending."""
         self._pending.extend(chunks)
-        began = time.monotonic()
-        complained = False
+        silence = None
         while self._pending:
             if self._uploader.submit(self._pending[0], timeout=POLL_SECONDS):
                 self._pending.popleft()
@@ -155,10 +169,12 @@ class Actor:
             if self._over():
                 return
             self._report()
-            waited = time.monotonic() - began
-            if waited > self._run_file.network.patience and not complained:
-                log.warning("the learner has taken nothing for %.0f s; waiting for it", waited)
-                complained = True
+            # What comes back after an outage makes no room for long, though the learner takes it.
+            acknowledged = self._uploader.statistics().acknowledged
+            silence = silence or Silence(self._run_file.network.patience, acknowledged)
+            silent = silence.worth_telling(acknowledged)
+            if silent is not None:
+                log.warning("the learner has taken nothing for %.0f s; waiting for it", silent)
 
     def _drain(self) -> None:
         """Hand over the open chunks, wait a little for their acknowledgement, and say what became of all."""
@@ -200,6 +216,7 @@ class Actor:
             "chunks_produced": uploads.produced,
             "chunks_acknowledged": uploads.acknowledged,
             "chunks_resent": uploads.resent,
+            "chunks_turned_away": uploads.turned_away,
             "chunks_given_up": uploads.given_up,
             **{f"chunks_given_up/{reason}": count for reason, count in uploads.given_up_by_reason.items()},
             "chunks_waiting": uploads.waiting,

@@ -1,6 +1,7 @@
 """Environments that raise or stall cost their episodes and nothing else; too many of them end the actor."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ from typing import Any
 import pytest
 from athrl_actor import TooManyFailures, run_actor
 from athrl_actor.failures import WINDOW_SECONDS, FailureCount
-from athrl_driving.policy import EnvironmentBatch, EnvironmentRaised, EnvironmentStalled, guard
+from athrl_driving.policy import BatchStep, EnvironmentBatch, EnvironmentRaised, EnvironmentStalled, guard
 
 ENOUGH = 60.0
 
@@ -21,13 +22,17 @@ class Saboteur:
         self.calls = 0
         self.at: set[int] = set()
         self.always = False
+        self.ended: dict[int, int] = {}  # episodes that ended in each call that makes a step
         done = getattr(EnvironmentBatch, method)
 
         def instead(batch: EnvironmentBatch, *arguments: Any) -> Any:
             self.calls += 1
             if self.always or self.calls in self.at:
                 harm()
-            return done(batch, *arguments)
+            outcome = done(batch, *arguments)
+            if isinstance(outcome, BatchStep):
+                self.ended[self.calls] = int((outcome.terminated | outcome.truncated).sum())
+            return outcome
 
         monkeypatch.setattr(EnvironmentBatch, method, instead)
 
@@ -102,6 +107,7 @@ def check_episodes(learner: Any) -> None:
 def test_environment_that_raises_is_reset_with_another_seed_and_counted(
     learner, start, monkeypatch, caplog
 ) -> None:
+    monkeypatch.setattr("athrl_actor.chunks.LONGEST_SECONDS", math.inf)  # chunks are cut by their length
     steps = Saboteur(monkeypatch, "step", raise_it)
     steps.at = {6, 14}  # in the middle of the second chunk, and of a later one
     learner.publish(0)
@@ -109,7 +115,8 @@ def test_environment_that_raises_is_reset_with_another_seed_and_counted(
     assert learner.wait_for(lambda: bool(learner.reports) and learner.reports[-1].values["episodes"] >= 4)
     values = learner.reports[-1].values
     assert (values["environments_failed"], values["environments_stalled"]) == (2, 0)
-    assert values["chunks_dropped"] == 4  # of both environments, both times
+    # Of both environments, both times; an episode that was just about to begin has none.
+    assert values["chunks_dropped"] == 4 - steps.ended[5] - steps.ended[13]
     assert "step raised ZeroDivisionError: a lane without length; 2 episodes begin anew" in caplog.text
     driving.stop.set()
     driving.join()

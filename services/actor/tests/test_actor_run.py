@@ -289,3 +289,17 @@ def test_the_last_report_accounts_for_every_chunk(learner, start: Start, monkeyp
     assert values["chunks_acknowledged"] == len(learner.chunks)
     reasons = [count for name, count in values.items() if name.startswith("chunks_given_up/")]
     assert sum(reasons) == values["chunks_given_up"]
+
+
+def test_policy_that_never_comes_is_missed_once(learner, start: Start, caplog) -> None:
+    learner.close()
+    network = learner.run_file.network.model_copy(update={"patience": 0.5})
+    learner.run_file = learner.run_file.model_copy(update={"network": network})
+    learner.open()
+    start()
+    assert learner.wait_for(lambda: len(learner.reports) >= 3)
+    assert [record.message for record in caplog.records if "no policy" in record.message] == [
+        "no policy has come for 0.5 s"
+    ]
+    learner.publish(0)
+    learner.wait_for_chunks(1)

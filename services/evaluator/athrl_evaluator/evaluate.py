@@ -15,6 +15,7 @@ from athrl_evaluator.case_studies import case_study_settings
 from athrl_evaluator.drivers import REFERENCE_DRIVERS, BatchDriver, GreedyPolicy, ReferenceDriver
 from athrl_evaluator.episodes import Onlooker, drive_episodes
 from athrl_evaluator.onlookers import Recorder
+from athrl_evaluator.policy_files import load_policy
 from athrl_evaluator.scores import Scores, score
 
 _SETTING_OF_KEY = {"vehicles": "vehicles_count"}
@@ -38,10 +39,13 @@ def evaluate_driver(
     `driver` is a policy, a policy file, or one of REFERENCE_DRIVERS by name. A policy drives an environment
     with the image size and the action ranges that it was trained for; the rest is `environment`'s, or that of
     the case study (see `make_batch`). The scores do not depend on `batch`, the number of environments stepped
-    together. Each episode is recorded as an MCAP file in the folder `record`, if there is one.
-    Raises InvalidPolicy for a file that is not a policy, RunFileError where `environment` names a value that
-    the policy was not made for, EnvironmentFailure where an environment fails or takes longer than
-    `stall_seconds`, and EvaluatorError where the disk does not take the recordings.
+    together. Each episode is recorded as an MCAP file, named after the policy's file, in the folder `record`
+    if there is one.
+
+    Raises InvalidPolicy for a file that is not a policy, or not the one of which the facts beside it tell,
+    RunFileError where `environment` names a value that the policy was not made for, EnvironmentFailure where
+    an environment fails or takes longer than `stall_seconds`, and EvaluatorError where the disk does not take
+    the recordings.
     """
     section = environment or EnvironmentSection()
     policy = None if driver in REFERENCE_DRIVERS else _load(driver)
@@ -54,7 +58,8 @@ def evaluate_driver(
         drives = make_batch_driver(policy if policy is not None else str(driver), len(environments))
         if record is not None:
             town = environments.environments[0].config["town"]
-            recorder = Recorder(drives, town, record, episodes=episodes, kept=None, needed=True)
+            named = driver.stem if isinstance(driver, Path) else None
+            recorder = Recorder(drives, town, record, episodes=episodes, kept=None, needed=True, named=named)
             stack.callback(recorder.close)
             onlookers = [recorder, *onlookers]
         return score(drive_episodes(drives, environments, range(seed, seed + episodes), onlookers))
@@ -115,4 +120,4 @@ def _fixed_by_policy(metadata: PolicyMetadata) -> dict[str, float]:
 
 
 def _load(driver: OnnxPolicy | Path | str) -> OnnxPolicy:
-    return driver if isinstance(driver, OnnxPolicy) else OnnxPolicy.load(driver)
+    return driver if isinstance(driver, OnnxPolicy) else load_policy(Path(driver))

@@ -33,8 +33,11 @@ class Recorder(Onlooker):
         kept: int | None,
         needed: bool = False,
         broadcast: Broadcast | None = None,
+        named: str | None = None,
     ) -> None:
-        """`kept` is how many recordings, also of earlier evaluations, the folder holds at most; None: all.
+        """Files are named after the driver, a policy with its version, or as `named`, and after the seed.
+
+        `kept` is how many recordings, also of earlier evaluations, the folder holds at most; None: all.
 
         Where the disk does not take the recordings, they are given up with a warning, or, if they are
         `needed`, EvaluatorError ends the evaluation.
@@ -46,6 +49,7 @@ class Recorder(Onlooker):
         self._kept = kept
         self._needed = needed
         self._broadcast = broadcast
+        self._named = named or _name_of(driver)
         self._gave_up = False
         self._open: dict[int, EpisodeRecording] = {}
         self._first_episode: list[Frame] = []
@@ -61,7 +65,9 @@ class Recorder(Onlooker):
             return
         with self._given_up_where_the_disk_is_full():
             if step.index not in self._open:
-                self._open[step.index] = EpisodeRecording(self._folder / self._file_name(step.seed))
+                self._open[step.index] = EpisodeRecording(
+                    self._folder / f"{self._named}-seed-{step.seed}.mcap"
+                )
             self._open[step.index].write(frame)
 
     def on_end(self, index: int, result: EpisodeResult) -> None:
@@ -93,7 +99,6 @@ class Recorder(Onlooker):
             self.close()
             self._gave_up = True
 
-    def _file_name(self, seed: int) -> str:
-        if self._driver.name == "policy":
-            return f"policy-{self._driver.policy_version:06d}-seed-{seed}.mcap"
-        return f"{self._driver.name}-seed-{seed}.mcap"
+
+def _name_of(driver: BatchDriver) -> str:
+    return f"policy-{driver.policy_version:06d}" if driver.name == "policy" else driver.name

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import rerun as rr
 from athrl_protocol import Frame, ProtocolError, decode_frame
@@ -25,20 +26,31 @@ def read_frames(path: Path) -> Iterator[Frame]:
     Raises InvalidRecording for a file that is no recorded episode, InvalidMessage for another release's.
     """
     count = 0
-    if not path.is_file():
-        raise InvalidRecording(f"{path} is not a recorded episode: there is no such file")
-    with path.open("rb") as stream:
+    with _opened(path) as stream:
         reader = NonSeekingReader(stream, validate_crcs=True)
         try:
             for _, channel, message in reader.iter_messages(log_time_order=False):
                 if channel.topic == FRAME_TOPIC:
                     count += 1
                     yield decode_frame(message.data)
-        except (McapError, struct.error) as error:  # the latter where a file ends within a number
-            if count == 0:
-                raise InvalidRecording(f"{path} is not a recorded episode: {error}") from None
+        except (McapError, struct.error):  # the latter where a file ends within a number
+            if count == 0:  # what the reader says is of bytes and often nothing at all
+                raise InvalidRecording(
+                    f"{path} is not a recorded episode: it is cut short before the first frame, "
+                    "damaged, or no MCAP file"
+                ) from None
     if count == 0:
         raise InvalidRecording(f"{path} is not a recorded episode: it has no {FRAME_TOPIC}")
+
+
+def _opened(path: Path) -> BinaryIO:
+    try:
+        if path.is_file():  # a named pipe, say, would be waited for
+            return path.open("rb")
+    except OSError as error:
+        raise InvalidRecording(f"cannot read {path}: {(error.strerror or str(error)).lower()}") from None
+    wrong = "it is a folder" if path.is_dir() else "there is no such file"
+    raise InvalidRecording(f"{path} is not a recorded episode: {wrong}")
 
 
 def draw_recording(recording: Path, rerun_file: Path) -> None:

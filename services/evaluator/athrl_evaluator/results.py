@@ -21,15 +21,17 @@ class ResultsFolder:
     """The evaluator's part of a run's folder."""
 
     def __init__(self, runs: Path, run: str) -> None:
+        """Make the folder where it is not there; raises EvaluatorError where that cannot be."""
         self.path = runs / run
         self.tensorboard = self.path / "tensorboard"
         self.recordings = self.path / "recordings"
         self._lines = self.path / "evaluations.jsonl"
         self._closing = self.path / "evaluation.json"
         self._unwritten: list[str] = []
-        self.recordings.mkdir(parents=True, exist_ok=True)
-        for part in self.recordings.glob("*.part"):  # of an evaluator that was killed
-            part.unlink(missing_ok=True)
+        with writing(self.recordings):
+            self.recordings.mkdir(parents=True, exist_ok=True)
+            for part in self.recordings.glob("*.part"):  # of an evaluator that was killed
+                part.unlink(missing_ok=True)
 
     def add(self, result: EvaluationResult) -> None:
         """Append one result to `evaluations.jsonl`; what a full disk does not take goes with the next one."""

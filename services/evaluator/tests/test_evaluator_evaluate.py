@@ -1,8 +1,11 @@
 """`evaluate_driver`: the same scores for the same seed, whatever the batch is, for every driver."""
 
+import hashlib
+import json
 import math
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import gymnasium
@@ -12,6 +15,7 @@ from athrl_evaluator import CASE_STUDIES, REFERENCE_DRIVERS, Scores, evaluate_dr
 from athrl_evaluator.drivers import GreedyPolicy
 from athrl_evaluator.episodes import drive_episodes
 from athrl_evaluator.evaluate import environment_for, make_batch
+from athrl_evaluator.policy_files import load_policy
 from athrl_evaluator.recording_drawing import read_frames
 from athrl_protocol import RunFileError
 from athrl_protocol.run_file import EnvironmentSection
@@ -60,6 +64,46 @@ def test_a_file_that_is_no_policy_is_named(tmp_path: Path):
     file.write_bytes(b"no policy")
     with pytest.raises(InvalidPolicy, match=r"policy\.onnx is not a policy"):
         evaluate(file)
+
+
+def facts_of(artefact: bytes) -> str:
+    return json.dumps({"version": 3, "sha256": hashlib.sha256(artefact).hexdigest()})
+
+
+def test_a_policy_file_is_used_only_if_it_is_the_one_that_its_facts_tell_of(artefact: bytes, tmp_path: Path):
+    file, facts = tmp_path / "latest.onnx", tmp_path / "latest.json"
+    file.write_bytes(artefact)
+    facts.write_text(facts_of(artefact))
+    assert load_policy(file).metadata == OnnxPolicy(artefact).metadata
+    at = len(artefact) // 2
+    flipped = artefact[:at] + bytes([artefact[at] ^ 1]) + artefact[at + 1 :]
+    file.write_bytes(flipped)
+    with pytest.raises(
+        InvalidPolicy, match=r"latest\.onnx is not .* latest\.json .* it should be [0-9a-f]{64};"
+    ):
+        evaluate(file)
+
+
+@pytest.mark.parametrize("facts", ["", "[]", "{}", '{"sha256": 3}'])
+def test_a_policy_file_of_which_nothing_is_told_is_taken_as_it_is(
+    artefact: bytes, tmp_path: Path, facts: str
+):
+    file = tmp_path / "latest.onnx"
+    file.write_bytes(artefact)
+    file.with_suffix(".json").write_text(facts)
+    assert load_policy(file).metadata == OnnxPolicy(artefact).metadata
+
+
+def test_a_policy_that_is_published_just_now_is_waited_for(artefact: bytes, tmp_path: Path):
+    file = tmp_path / "latest.onnx"
+    file.write_bytes(b"the one before")
+    file.with_suffix(".json").write_text(facts_of(artefact))
+    publish = threading.Timer(0.3, file.write_bytes, (artefact,))
+    publish.start()
+    try:
+        assert load_policy(file).metadata == OnnxPolicy(artefact).metadata
+    finally:
+        publish.join()
 
 
 def test_a_policy_drives_with_the_ranges_that_it_was_trained_for(artefact: bytes):

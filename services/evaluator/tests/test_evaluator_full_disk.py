@@ -75,6 +75,12 @@ def test_curves_have_a_hole_where_the_disk_was_full_and_go_on_behind_it(small_di
     assert points == [(100, 7.0)]
 
 
+def test_a_folder_of_results_that_cannot_be_made_is_named(tmp_path: Path):
+    (tmp_path / "README.md").write_text("no folder")
+    with pytest.raises(EvaluatorError, match=r"^cannot write .*README\.md/run/recordings: Not a directory$"):
+        ResultsFolder(tmp_path / "README.md", "run")
+
+
 def test_a_result_that_the_disk_does_not_take_is_written_when_there_is_room(small_disk, caplog):
     folder = ResultsFolder(small_disk, "run")
     first, second, third = (

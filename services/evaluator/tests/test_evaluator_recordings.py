@@ -74,6 +74,30 @@ def test_a_file_that_is_no_recording_is_named(tmp_path: Path):
         list(read_frames(file))
 
 
+@pytest.mark.parametrize("size", [0, 5, 8, 50, 100, 500])
+def test_a_file_cut_off_before_its_first_frame_says_so(
+    recorded: tuple[Path, list], tmp_path: Path, size: int
+):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((recorded[0] / "rule-based-seed-1.mcap").read_bytes()[:size])
+    with pytest.raises(InvalidRecording, match="it is cut short before the first frame, damaged, or no MCAP"):
+        list(read_frames(cut))
+
+
+def test_a_recording_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(InvalidRecording, match=r"is not a recorded episode: it is a folder$"):
+        list(read_frames(tmp_path))
+
+    def refuse(path: Path, mode: str) -> None:  # the tests' user may be one who may read everything
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    file = tmp_path / "secret.mcap"
+    file.touch()
+    with pytest.raises(InvalidRecording, match=r"^cannot read .*secret\.mcap: permission denied$"):
+        list(read_frames(file))
+
+
 def test_an_episode_that_is_given_up_leaves_no_file(tmp_path: Path):
     recording = EpisodeRecording(tmp_path / "a.mcap")
     recording.write(Frame(image_width=0, image_height=0))

@@ -17,8 +17,16 @@ class NoSuchDevice(LearnerError):  # noqa: N818
     """Training was to happen on a device that this machine has not."""
 
 
+class TooLittleMemory(LearnerError):  # noqa: N818
+    """The replay is to be larger than what this machine gives."""
+
+
 class CannotResume(LearnerError):  # noqa: N818
     """The folder holds nothing that a run could go on from."""
+
+
+class SettingsDoNotFit(CannotResume):
+    """Checkpoint or log were made with other settings."""
 
 
 class CheckpointFailed(LearnerError):  # noqa: N818

@@ -21,6 +21,8 @@ _GLANCE = 0.1
 #: Seconds that a finished learner stays at least, so that everybody hears of it, and at most for its actors.
 _FAREWELL = 2.0
 _ACTORS_LEAVE_WITHIN = 10.0
+#: Seconds that one which had nothing left to train waits for an evaluator, which is still being loaded.
+_EVALUATOR_COMES_WITHIN = 30.0
 
 
 class Learner:
@@ -40,6 +42,7 @@ class Learner:
             Deadlock: actors and learner wait for each other; a checkpoint has been written.
             LogFailed: the disk does not take what would be acknowledged.
         """
+        was_over = self._parts.store.exhausted(self._batch)
         self._publish()
         self._connections.reporter.report()
         try:
@@ -49,7 +52,7 @@ class Learner:
             raise
         if self._parts.store.exhausted(self._batch):
             self._finish()
-            self._linger(stop, evaluator_deadline)
+            self._linger(stop, evaluator_deadline, _EVALUATOR_COMES_WITHIN if was_over else 0.0)
             return True
         self._drain()
         return False
@@ -91,15 +94,20 @@ class Learner:
         log.info("stopped after %d environment steps; writing a checkpoint", parts.store.environment_steps)
         parts.checkpointer.write_now(self._snapshot())
 
-    def _linger(self, stop: threading.Event, evaluator_deadline: float) -> None:
-        """Stay for those who still need something: actors for a moment, an evaluator until it is done."""
-        began = time.monotonic()
+    def _linger(self, stop: threading.Event, evaluator_deadline: float, comes_within: float) -> None:
+        """Stay for those who still need something: actors for a moment, an evaluator until it is done.
+
+        And for an evaluator to come, so many seconds.
+        """
+        began, evaluator_came = time.monotonic(), False
         while not stop.is_set():
             waited = time.monotonic() - began
             roles = {role for role, _ in self._connections.presence.present()}
             actors_stay = "actor" in roles and waited < _ACTORS_LEAVE_WITHIN
             evaluator_stays = "evaluator" in roles and waited < evaluator_deadline
-            if waited >= _FAREWELL and not actors_stay and not evaluator_stays:
+            evaluator_came = evaluator_came or "evaluator" in roles
+            evaluator_comes = not evaluator_came and waited < comes_within
+            if waited >= _FAREWELL and not (actors_stay or evaluator_stays or evaluator_comes):
                 return
             self._connections.reporter.report_if_due()
             stop.wait(_GLANCE)

@@ -15,6 +15,8 @@ from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent
 from athrl_learner.checkpointing import Checkpointer
+from athrl_learner.errors import SettingsDoNotFit
+from athrl_learner.memory import require_memory
 from athrl_learner.publication import Publication
 from athrl_learner.recovery import AfterTheCheckpoint
 from athrl_learner.run_folder import RunFolder
@@ -22,6 +24,8 @@ from athrl_learner.segments import SegmentLog
 from athrl_learner.snapshot import restore_snapshot
 from athrl_learner.store import ExperienceStore
 from athrl_learner.training import Trainer
+
+SECTIONS_THAT_SHAPE = ("environment", "planner", "replay", "actor")
 
 log = logging.getLogger(__name__)
 
@@ -58,8 +62,13 @@ class Parts:
 def make_experience(
     run_file: RunFile, agent: AtHRL, arrivals: Arrivals, experience: SegmentLog
 ) -> ExperienceStore:
-    """Replay, limiter and the check of chunks; says how much memory the replay will take."""
+    """Replay, limiter and the check of chunks; says how much memory the replay will take.
+
+    Raises:
+        TooLittleMemory: it takes more than this machine gives.
+    """
     replay = translation.make_replay(run_file, agent)
+    require_memory(replay.bytes, run_file.replay.capacity)
     log.info("the replay of %d transitions takes %.2f GiB", run_file.replay.capacity, replay.bytes / 2**30)
     return ExperienceStore(
         translation.make_reader(run_file, agent),
@@ -91,13 +100,17 @@ def make_parts(
 
     Raises:
         CannotResume: `content` or the log does not fit the run file.
+        TooLittleMemory: the replay takes more than this machine gives.
     """
     arrivals = Arrivals()
     agent = translation.make_agent(run_file)
     experience = translation.make_log(run_file, folder.experience)
     stack.callback(experience.close)
     store = make_experience(run_file, agent, arrivals, experience)
-    restored = restore_snapshot(content, agent, store, after_the_checkpoint)
+    try:
+        restored = restore_snapshot(content, agent, store, after_the_checkpoint)
+    except SettingsDoNotFit as error:
+        raise SettingsDoNotFit(f"{error}{_set_otherwise(content, run_file)}") from None
     publication = Publication(
         hand_out,
         PolicyExporter(agent),
@@ -127,3 +140,16 @@ def make_parts(
         restored.recovered,
         restored.damaged,
     )
+
+
+def _set_otherwise(content: CheckpointContent | None, run_file: RunFile) -> str:
+    """Which settings that shape planner and experience are not the checkpoint's, for the end of a message."""
+    before = content.state["run_file"] if content is not None else {}
+    now = run_file.model_dump()
+    others = [
+        f"{section}.{key} was {was!r} and is {now[section][key]!r}"
+        for section in SECTIONS_THAT_SHAPE
+        for key, was in before.get(section, {}).items()
+        if key in now[section] and now[section][key] != was
+    ]
+    return f"; {', '.join(others)}" if others else ""

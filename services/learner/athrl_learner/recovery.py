@@ -18,7 +18,7 @@ from athrl_planners import Sequence
 from athrl_protocol import Chunk, InvalidMessage, decode_chunk
 from athrl_protocol.ledger import Known, Ledger
 
-from athrl_learner.errors import CannotResume
+from athrl_learner.errors import CannotResume, SettingsDoNotFit
 from athrl_learner.files import Files
 from athrl_learner.segments import (
     Damage,
@@ -132,7 +132,7 @@ class Recovery:
         try:
             return self._store.reader.sequences(chunk)
         except InvalidMessage as error:
-            raise CannotResume(
+            raise SettingsDoNotFit(
                 f"the log does not fit the run's settings; was one overridden? {error}"
             ) from None
 

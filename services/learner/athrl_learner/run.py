@@ -77,13 +77,21 @@ def run_learner(
 
     Raises:
         LearnerError: the folder is taken, in use, cannot be resumed, or does not take the last checkpoint; or
-            this machine has no device of the kind that the run file asks for, and nothing has been written.
-        ProtocolError: the address is in use, or `run.toml` is wrong.
+            this machine has no device of the kind that the run file asks for, or less memory than the replay
+            would take, and nothing has been written.
+        ProtocolError: the address is in use, `run.toml` is wrong, no client would accept the certificate, or
+            the run had certificates and is to go on without.
     """
     began = time.monotonic()
     run_file, path = _what_and_where(run_file, resume)
     if run_file.serial.enabled:
         raise CannotResume(f"{path} is a serial run, which has no learner of its own: athrl train --serial")
+    shown = find_certificates(run_file.network.certificates, NAME)
+    if shown is not None:
+        shown.check_may_serve(NAME)
+    elif resume is not None:  # whoever gives the settings anew gives the address anew as well
+        complete_address(read_run_file(resume / "run.toml", complete=True).network.listen)
+    address = complete_address(run_file.network.listen, secure=shown is not None)
     training_device(run_file)  # refused here: nothing has been written
     torch.set_num_threads(run_file.learner.threads)
     with contextlib.ExitStack() as stack:
@@ -107,11 +115,11 @@ def run_learner(
         # Not before everything is restored: who is answered is answered by a whole learner.
         connections = connect(stack, session, run_file, parts)
         # Only settings that the checkpoint fits replace those it was made with.
-        folder.lay_out(to_toml(run_file))
+        folder.lay_out(to_toml(_with_address(run_file, address)))
         # Last, because whoever has the run file expects everything else to be there.
         stack.enter_context(serve_run_file(session, run_file))
         stack.enter_context(announce_presence(session, run_file.run.name, NAME, NAME))
-        log.info("run %s listens at %s and writes into %s", run_file.run.name, _address(run_file), path)
+        log.info("run %s listens at %s and writes into %s", run_file.run.name, address, path)
         finished = Learner(run_file, parts, connections).run(stop, evaluator_deadline)
     return Summary(
         run=run_file.run.name,
@@ -140,11 +148,10 @@ def short_collections() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _address(run_file: RunFile) -> str:
-    """Where the run really listens: with certificates it is TLS, whatever the run file calls it."""
-    network = run_file.network
-    secure = find_certificates(network.certificates, NAME) is not None
-    return complete_address(network.listen, secure=secure)
+def _with_address(run_file: RunFile, address: str) -> RunFile:
+    """The run file as it is kept: a run that had certificates says `tls/...` and does not go on without."""
+    network = run_file.network.model_copy(update={"listen": address})
+    return run_file.model_copy(update={"network": network})
 
 
 def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path]:

@@ -13,7 +13,7 @@ from athrl_protocol import RunFile
 from athrl_protocol.ledger import Ledger
 
 from athrl_learner.checkpoint import CheckpointContent
-from athrl_learner.errors import CannotResume
+from athrl_learner.errors import CannotResume, SettingsDoNotFit
 from athrl_learner.recovery import AfterTheCheckpoint, Recovery
 from athrl_learner.store import ExperienceStore
 
@@ -104,7 +104,7 @@ def restore_snapshot(
         store.limiter.go_on()
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 200)  # torch names every tensor
-        raise CannotResume(
+        raise SettingsDoNotFit(
             f"the checkpoint does not fit the run's settings; was one overridden? {reason}"
         ) from None
     except OSError as error:

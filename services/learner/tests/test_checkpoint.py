@@ -107,10 +107,11 @@ def test_a_damaged_file_is_named_and_the_checkpoint_before_is_used(tmp_path, cap
     assert "using the one before" in caplog.text
 
 
-def test_only_damaged_checkpoints_are_an_error_and_no_new_start(tmp_path):
+def test_only_damaged_checkpoints_are_an_error_and_no_new_start(tmp_path, caplog):
     (write_checkpoint(tmp_path, content()) / "agent.pt").write_bytes(b"")
     with pytest.raises(CannotResume, match="damaged"):
         newest_intact_checkpoint(tmp_path)
+    assert "there is none before" in caplog.text
 
 
 def test_an_actor_in_the_same_process_comes_back_with_the_checkpoint(tmp_path):

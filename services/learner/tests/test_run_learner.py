@@ -12,6 +12,7 @@ from pathlib import Path
 import onnx
 import pytest
 from athrl_learner import CannotResume, RunFolderInUse, RunFolderTaken, Summary, run_learner
+from athrl_learner import learner as learner_module
 from athrl_learner.checkpoint import newest_intact_checkpoint
 from athrl_protocol import (
     AddressInUse,
@@ -144,8 +145,9 @@ def test_kills_lose_nothing_that_was_acknowledged_and_count_nothing_twice(
 
 
 def test_a_damaged_checkpoint_costs_training_but_no_experience(run_file, fake_actor, caplog):
+    longer = changed(run_file, "run", environment_steps=1600)  # else a fast machine is done too soon
     with fake_actor:
-        with learner(run_file) as (running, stop):
+        with learner(longer) as (running, stop):
             fake_actor.wait_for(lambda: any(state.environment_steps >= 100 for state in fake_actor.states))
             checkpoints = folder_of(run_file) / "checkpoints"
             fake_actor.wait_for(lambda: any(checkpoints.glob("checkpoint-??????")))
@@ -176,7 +178,9 @@ def test_a_killed_run_goes_on_from_its_checkpoint(run_file, fake_actor, tmp_path
     assert all(policy.version > newest_before for policy in fake_actor.policies[heard:])
 
 
-def test_a_finished_learner_stays_for_an_evaluator_and_ends_at_once_when_resumed(run_file, fake_actor):
+def test_a_finished_learner_stays_for_an_evaluator_and_when_resumed_until_one_comes(
+    run_file, fake_actor, monkeypatch
+):
     short = run_file.model_copy(update={"run": run_file.run.model_copy(update={"environment_steps": 70})})
     with learner(short) as (running, _), fake_actor:
         with (
@@ -190,7 +194,20 @@ def test_a_finished_learner_stays_for_an_evaluator_and_ends_at_once_when_resumed
             with PolicySubscriber(session, "small") as late:
                 assert late.wait(timeout=30).version == fake_actor.policies[-1].version
         first: Summary = running.result(timeout=60)
+    monkeypatch.setattr(learner_module, "_EVALUATOR_COMES_WITHIN", 600.0)
     with learner(None, resume=first.folder) as (running, _):
+        time.sleep(5.0)  # one that is started with it is being loaded meanwhile
+        assert not running.done()
+        with (
+            open_session(connect=run_file.network.listen, timeout=30) as session,
+            announce_presence(session, "small", "evaluator", "evaluator"),
+            PolicySubscriber(session, "small") as late,
+        ):
+            assert late.wait(timeout=30).version >= fake_actor.policies[-1].version
+            time.sleep(3.0)  # the learner looks around ten times a second
+        running.result(timeout=60)  # the evaluator has come and gone
+    monkeypatch.setattr(learner_module, "_EVALUATOR_COMES_WITHIN", 1.0)
+    with learner(None, resume=first.folder) as (running, _):  # none comes
         again: Summary = running.result(timeout=60)
     assert first.finished
     assert again.finished
@@ -201,7 +218,8 @@ def changed(run_file: RunFile, section: str, **values: object) -> RunFile:
     return run_file.model_copy(update={section: getattr(run_file, section).model_copy(update=values)})
 
 
-def test_a_resumed_run_follows_the_settings_it_is_given(run_file, fake_actor):
+def test_a_resumed_run_follows_the_settings_it_is_given(run_file, fake_actor, monkeypatch):
+    monkeypatch.setattr(learner_module, "_EVALUATOR_COMES_WITHIN", 1.0)
     with fake_actor:
         with learner(run_file) as (running, stop):
             fake_actor.wait_for(lambda: any(policy.updates for policy in fake_actor.policies))

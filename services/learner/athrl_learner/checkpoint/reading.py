@@ -51,11 +51,14 @@ def newest_intact_checkpoint(folder: Path) -> tuple[Path, CheckpointContent] | N
         CannotResume: there are checkpoints, and all of them are damaged.
     """
     damages: list[DamagedCheckpoint] = []
-    for _, path in reversed(numbered_checkpoints(folder)):
+    found = [path for _, path in numbered_checkpoints(folder)]
+    for path in reversed(found):
         try:
             return path, read_checkpoint(path)
         except DamagedCheckpoint as damage:
-            log.warning("%s; using the one before", damage)
+            log.warning(
+                "%s; %s", damage, "there is none before" if path == found[0] else "using the one before"
+            )
             damages.append(damage)
     if damages:
         raise CannotResume(

@@ -1,0 +1,106 @@
+"""A router connects anew to a learner that is connected and does not answer, and to no other."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+import zenoh
+from athrl_protocol import (
+    Phase,
+    RunFile,
+    RunState,
+    StatePublisher,
+    open_session,
+    read_run_file,
+    serve_run_file,
+)
+
+PATIENCE = 30.0
+RUN = "routed"
+STATE = RunState(Phase.TRAINING, 1, 2, 0, 0)
+
+
+class _Learner:
+    """Says what a router listens to, and can be told to say nothing; counts how often the router came."""
+
+    def __init__(self, address: str, run_file: RunFile, stack: ExitStack) -> None:
+        self.came = 0
+        session = stack.enter_context(open_session(listen=address, timeout=PATIENCE))
+        session.info.declare_transport_events_listener(self._hear)
+        self._session, self._run_file = session, run_file
+        self._state = stack.enter_context(StatePublisher(session, RUN))
+        self.answer()
+        stop, thread = threading.Event(), threading.Thread(target=lambda: self._tell(stop), daemon=True)
+        thread.start()
+        stack.callback(lambda: (stop.set(), thread.join(PATIENCE)))
+        stack.callback(self.fall_silent)
+
+    def answer(self) -> None:
+        """Answer from now on."""
+        self._served = serve_run_file(self._session, self._run_file)
+        self._talks = True
+
+    def fall_silent(self) -> None:
+        """Answer nothing any more."""
+        self._talks = False
+        self._served.close()
+
+    def _tell(self, stop: threading.Event) -> None:
+        while not stop.wait(0.2):
+            if self._talks:
+                self._state.publish(STATE)
+
+    def _hear(self, event: zenoh.TransportEvent) -> None:
+        is_router = event.transport.whatami == zenoh.WhatAmI.ROUTER
+        self.came += is_router and event.kind == zenoh.SampleKind.PUT
+
+
+@pytest.fixture
+def learner() -> Iterator[tuple[str, _Learner]]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with ExitStack() as stack:
+        yield address, _Learner(address, read_run_file(None, [f"run.name={RUN}"]), stack)
+
+
+def _await(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.timeout(240)
+def test_router_connects_anew_to_a_learner_that_is_there_and_silent(learner: tuple[str, _Learner]) -> None:
+    address, there = learner
+    words = ["router", "--listen", "tcp/127.0.0.1:0", "--connect", address, "--run", RUN]
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        words[2] = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    router = subprocess.Popen([sys.executable, "-m", "athrl", *words], stderr=subprocess.PIPE, text=True)
+    try:
+        _await(lambda: there.came == 1)
+        time.sleep(6.0)
+        assert there.came == 1  # one that speaks is left alone
+        there.fall_silent()
+        _await(lambda: there.came > 1)
+        there.answer()
+        time.sleep(6.0)
+        came = there.came
+        time.sleep(6.0)
+        assert there.came == came
+        router.send_signal(signal.SIGTERM)
+        told = router.communicate(timeout=PATIENCE)[1]
+    finally:
+        router.kill()
+    assert router.returncode == 0
+    assert f"the learner at {address} is connected and does not answer: connecting anew" in told
