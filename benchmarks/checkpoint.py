@@ -34,7 +34,8 @@ _DIFFERENT = 50
 def filled(run_file: RunFile, folder: Path, agent: AtHRL) -> ExperienceStore:
     """A store whose replay is full."""
     store = make_experience(run_file, agent, Arrivals(), translation.make_log(run_file, folder))
-    chunks = [made_up_chunk(run_file.replay.sequence_length, seed=seed) for seed in range(_DIFFERENT)]
+    steps, state = run_file.replay.sequence_length, max(size for _, size in agent.level_sizes.values())
+    chunks = [made_up_chunk(steps, state=state, seed=seed) for seed in range(_DIFFERENT)]
     for sequence in range(store.replay.slots):
         chunk = numbered(chunks[sequence % _DIFFERENT], sequence)
         store.accept(chunk, encode_chunk(chunk))

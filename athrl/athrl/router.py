@@ -27,7 +27,6 @@ from athrl_protocol.address import complete_address
 from athrl_protocol.certificates import find_certificates
 from athrl_protocol.leaving import await_what_is_on_its_way
 from athrl_protocol.limits import largest_chunk_of
-from athrl_protocol.reconnection import Reconnection
 from athrl_protocol.session import open_router
 
 from athrl.names import own_name
@@ -81,8 +80,7 @@ def router(
             )
             stack.callback(await_what_is_on_its_way, session)
             log.info("router for run %s at %s, its learner at %s", run_file.run.name, at, learner)
-            reconnection = Reconnection(session, connect, run_file.run.name)
-            _stay(session, run_file.run.name, name or own_name(), reconnection, stop)
+            _stay(session, run_file.run.name, name or own_name(), stop)
 
 
 def _await_run(connect: str, run: str | None, stop: threading.Event) -> RunFile | None:
@@ -97,17 +95,14 @@ def _await_run(connect: str, run: str | None, stop: threading.Event) -> RunFile 
         raise
 
 
-def _stay(
-    session: zenoh.Session, run: str, name: str, reconnection: Reconnection, stop: threading.Event
-) -> None:
+def _stay(session: zenoh.Session, run: str, name: str, stop: threading.Event) -> None:
     """Wait until the run is finished and its learner has left, or until asked to stop."""
     with (
         announce_presence(session, run, ROLE, name),
-        StateSubscriber(session, run, reconnection.hear) as states,
+        StateSubscriber(session, run) as states,
         PresenceWatcher(session, run) as presence,
     ):
         while not stop.wait(POLL_SECONDS):
-            reconnection.look()
             state = states.newest()
             learner_left = not any(role == "learner" for role, _ in presence.present())
             if state is not None and state.phase is Phase.FINISHED and learner_left:

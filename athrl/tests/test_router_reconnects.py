@@ -103,4 +103,4 @@ def test_router_connects_anew_to_a_learner_that_is_there_and_silent(learner: tup
     finally:
         router.kill()
     assert router.returncode == 0
-    assert f"the learner at {address} is connected and does not answer: connecting anew" in told
+    assert f"{address} is connected and does not answer: connecting anew" in told

@@ -28,7 +28,9 @@ from athrl_protocol.certificates import Certificates, find_certificates
 from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
 from athrl_protocol.handshake import why_not_admitted
 from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, largest_message, size_filter
-from athrl_protocol.socket_options import let_wait, see_to_sockets
+from athrl_protocol.reconnection import Reconnection
+from athrl_protocol.session_care import look_after
+from athrl_protocol.socket_options import let_wait
 
 # At one learner or router; who comes after them is told that nobody answers there.
 MOST_CONNECTIONS = 10_000
@@ -47,6 +49,8 @@ SECURE_ATTEMPT_SECONDS = 5.0
 # For the same reason few may wait to be taken in: who listens may be paused until they have given up. Others
 # come again by TCP's own means.
 MOST_WAITING = 16
+# For which a router waits for its learner's answer: all of its clients have none meanwhile.
+ROUTER_PATIENCE = 2.0
 PAUSE_SECONDS = 0.1
 # A refusal may pass: certificates are being renewed, a learner is being replaced.
 REFUSED_SECONDS = 3.0
@@ -126,12 +130,8 @@ def open_router(
     }
     if shown is not None:
         settings["access_control"] = access_list_of_router(run)
-    return _open_listener(complete_address(listen, secure=shown is not None), shown, settings)
-
-
-def _open(configuration: zenoh.Config) -> zenoh.Session:
-    session = zenoh.open(configuration)
-    see_to_sockets(session)
+    session = _open_listener(complete_address(listen, secure=shown is not None), shown, settings)
+    look_after(session, Reconnection(session, learner, run, ROUTER_PATIENCE))
     return session
 
 
@@ -178,13 +178,15 @@ def _listen(address: str, shown: Certificates | None, run: str | None, largest_c
         settings["low_pass_filter"] = size_filter(run, largest_chunk)
         if shown is not None:
             settings["access_control"] = access_list(run)
-    return _open_listener(address, shown, settings)
+    session = _open_listener(address, shown, settings)
+    look_after(session)
+    return session
 
 
 def _open_listener(address: str, shown: Certificates | None, settings: dict[str, Any]) -> zenoh.Session:
     require_free(address)
     try:
-        session = _open(_configuration("router", shown, {"listen/endpoints": [address], **settings}))
+        session = zenoh.open(_configuration("router", shown, {"listen/endpoints": [address], **settings}))
     except zenoh.ZError as error:
         if "in use" in str(error):
             raise _in_use(address) from None
@@ -228,9 +230,12 @@ def _connect(
         if not cause:
             left = max(timeout - (time.monotonic() - began), ATTEMPT_SECONDS)
             try:
-                return _open(_client_configuration(address, shown, left))
+                session = zenoh.open(_client_configuration(address, shown, left))
             except zenoh.ZError:
                 cause, refusal = _why_not(address, shown)
+            else:
+                look_after(session, Reconnection(session, address))
+                return session
         waited = time.monotonic() - began
         if refusal is not None and waited >= min(timeout, REFUSED_SECONDS):
             raise NotAdmitted(f"the learner at {address} was reached and not joined: {refusal}")

@@ -17,28 +17,18 @@ TLS come and give up again and again, and each that did costs it 0.1 s in which 
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import logging
 import os
 import socket
 import struct
-import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import zenoh
 
 from athrl_protocol.address import split_address
-from athrl_protocol.background import Background
 
-_log = logging.getLogger(__name__)
-
-# What happens within this time is seen to together; it is far below the lease, and enough to say goodbye in.
-TOGETHER_SECONDS = 0.25
-MOST_AT_ONCE = 4096  # events between two looks
-END_SECONDS = 1.0  # the longest that a look takes
 _DESCRIPTORS = Path("/proc/self/fd")  # of Linux; elsewhere sockets stay as they are
 _LINGER = struct.Struct("ii")  # struct linger: whether, seconds
 
@@ -48,12 +38,6 @@ class Ends(NamedTuple):
 
     here: tuple[str, int]
     there: tuple[str, int]
-
-
-def see_to_sockets(session: zenoh.Session) -> None:
-    """See to the sockets of a session's connections, those that it has and those to come."""
-    channel: zenoh.handlers.FifoChannel[zenoh.LinkEvent] = zenoh.handlers.FifoChannel(MOST_AT_ONCE)
-    _sockets.listen(session.info.declare_link_events_listener(channel, history=True))
 
 
 def shut_down(links: Iterable[zenoh.Link]) -> None:
@@ -73,52 +57,15 @@ def let_wait(address: str, most: int) -> None:
                 listener.listen(most)
 
 
-class _Sockets:
-    """Sees to the sockets of this process, a moment after a connection was made or given up.
-
-    In a thread that asks a few times a second: Zenoh's own, called back, would wait for the interpreter.
-    """
+class Sockets:
+    """The sockets of this process as they were last seen."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._listeners: list[Any] = []
         self._known: frozenset[str] = frozenset()
-        self._thread: threading.Thread | None = None
-        self._ending = threading.Event()
 
-    def listen(self, listener: Any) -> None:
-        """Hear a session's events until it is closed."""
-        with self._lock:
-            self._listeners.append(listener)
-            if len(self._listeners) == 1:
-                self._thread = threading.Thread(target=self._run, name="sockets", daemon=True)
-                self._thread.start()
-
-    def end(self) -> None:
-        """Have the thread end before the interpreter does, which would end it within Zenoh and abort."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join(timeout=END_SECONDS)
-
-    def _run(self) -> None:
-        """Look after them as long as there is a session; what goes wrong once is logged."""
-        background = Background("the look after sockets", _log)
-        while not self._ending.wait(TOGETHER_SECONDS):
-            with self._lock:
-                heard = [(listener, _events(listener)) for listener in self._listeners]
-                self._listeners = [listener for listener, events in heard if events is not None]
-                is_over = not self._listeners
-            with background.watched():
-                self._follow([event for _, events in heard for event in events or ()])
-            if is_over:
-                return
-
-    def _follow(self, happened: list[zenoh.LinkEvent]) -> None:
-        if happened:
-            deleted = [event.link for event in happened if event.kind == zenoh.SampleKind.DELETE]
-            self._look({_ends_of(link) for link in deleted})
-
-    def _look(self, given_up: set[Ends]) -> None:
+    def follow(self, events: Iterable[zenoh.LinkEvent]) -> None:
+        """See to them after connections were made or given up."""
+        given_up = {_ends_of(event.link) for event in events if event.kind == zenoh.SampleKind.DELETE}
         sockets = _own_sockets()
         for name in sockets.keys() - self._known:
             with contextlib.suppress(OSError):  # it was closed meanwhile
@@ -126,21 +73,6 @@ class _Sockets:
         # Not among the new ones, of which one may have the port of an old one.
         _shut_down_among([sockets[name] for name in sockets.keys() & self._known], given_up)
         self._known = frozenset(sockets)
-
-
-def _events(listener: Any) -> list[zenoh.LinkEvent] | None:
-    """Return what a listener has heard; None once its session is closed."""
-    events = []
-    try:
-        while (event := listener.handler.try_recv()) is not None:
-            events.append(event)
-    except zenoh.ZError:
-        return events or None
-    return events
-
-
-_sockets = _Sockets()
-atexit.register(_sockets.end)
 
 
 def _own_sockets() -> dict[str, int]:

@@ -69,6 +69,6 @@ def test_no_thread_is_inside_zenoh_when_the_interpreter_ends(address: str, liste
         check=False,
     )
     during, after = done.stdout.splitlines()
-    assert "sockets" in during
+    assert "connections" in during
     assert after == "['MainThread']"
     assert done.returncode == 0, done.stderr

@@ -10,7 +10,7 @@ import contextlib
 import socket
 import struct
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Collection, Coroutine
 from types import TracebackType
 from typing import Any, Self
 
@@ -55,11 +55,17 @@ class Link:
         """Let everything through again, what was held back first."""
         self._call(self._heal)
 
-    async def serve(self) -> asyncio.Server:
-        """Begin to listen at a free port."""
-        server = await asyncio.start_server(self._connected, HOST, 0)
-        self.port = server.sockets[0].getsockname()[1]
-        return server
+    async def serve(self, reserved: Collection[int]) -> asyncio.Server:
+        """Begin to listen at a free port, none at which a service will listen that is not there yet.
+
+        A link in the router's place would lead past it, and the router find its port in use for ever.
+        """
+        while True:
+            server = await asyncio.start_server(self._connected, HOST, 0)
+            self.port = server.sockets[0].getsockname()[1]
+            if self.port not in reserved:
+                return server
+            server.close()
 
     def _call(self, what: Callable[[], None]) -> None:
         self._loop.call_soon_threadsafe(what)
@@ -135,12 +141,13 @@ class Cutter:
     def __init__(self, next_ports: dict[str, int]) -> None:
         self._loop = asyncio.new_event_loop()
         self.links = {name: Link(self._loop, port) for name, port in next_ports.items()}
+        self._reserved = set(next_ports.values())
         self._servers: list[asyncio.Server] = []
         self._thread = threading.Thread(target=self._loop.run_forever, name="cutter", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
-        self._servers = [self._run(link.serve()) for link in self.links.values()]
+        self._servers = [self._run(link.serve(self._reserved)) for link in self.links.values()]
         return self
 
     def __exit__(

@@ -138,11 +138,14 @@ class Fleet:
         return time.monotonic() - began
 
     def story(self, names: Iterable[str], lines: int = 15) -> str:
-        """What the services and the learner said last, for a test that fails."""
+        """What the services, the learner and the router said last, for a test that fails."""
         said = []
-        for name in {"learner", *names}:
+        for name in sorted({"learner", *names, *self.processes.keys() & {"router"}}):
             said += [f"--- {name}: {self.processes[name].poll()}"]
             said += self.command.said(self.processes[name]).splitlines()[-lines:]
+            if name in self.reports:
+                counts = {key: value for key, value in self.reports[name].values.items() if "chunk" in key}
+                said += [f"{time.monotonic() - self.heard_at[name]:.1f} s ago: {counts}"]
         return "\n".join(said)
 
     def leave(self) -> None:

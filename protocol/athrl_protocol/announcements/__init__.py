@@ -6,7 +6,7 @@ from athrl_protocol.announcements.evaluation import (
     EvaluationSubscriber,
 )
 from athrl_protocol.announcements.policy import PolicyPublisher, PolicySubscriber, PolicyUpdate
-from athrl_protocol.announcements.run_file_service import fetch_run_file, is_run_file_served, serve_run_file
+from athrl_protocol.announcements.run_file_service import fetch_run_file, serve_run_file
 from athrl_protocol.announcements.state import Phase, RunState, StatePublisher, StateSubscriber
 
 __all__ = [
@@ -21,6 +21,5 @@ __all__ = [
     "StatePublisher",
     "StateSubscriber",
     "fetch_run_file",
-    "is_run_file_served",
     "serve_run_file",
 ]

@@ -69,18 +69,13 @@ def fetch_run_file(
             )
 
 
-def is_run_file_served(session: zenoh.Session, run: str, timeout: float) -> bool:
-    """Ask whether a learner of `run` answers within `timeout` seconds: it does as long as it is there."""
-    return bool(_ask(session, Keys(run).run_file, timeout))
-
-
-def _ask(session: zenoh.Session, key: str, timeout: float = QUERY_SECONDS) -> dict[str, bytes]:
+def _ask(session: zenoh.Session, key: str) -> dict[str, bytes]:
     """Return payloads by key of all who answer."""
     replies = session.get(
         key,
         target=zenoh.QueryTarget.ALL,
         consolidation=zenoh.ConsolidationMode.NONE,
-        timeout=timeout,
+        timeout=QUERY_SECONDS,
     )
     found: dict[str, bytes] = {}
     for reply in replies:
