@@ -14,7 +14,7 @@ from athrl_protocol.schema import decode_message, encode_message
 
 MOST_CHUNKS = 16
 """In one query."""
-MOST_BYTES = 256 * 2**10
+MOST_BYTES = 2**20
 """Of several chunks in one query; a larger one comes alone."""
 _LARGEST_ATTACHMENT = 4 * 2**10
 

@@ -133,7 +133,8 @@ class UploadWindow:
 
     def give_up(self, sequence: int) -> None:
         """Drop one chunk that the learner will never take."""
-        if self._held.pop(sequence, None) is not None:
+        if sequence in self._held:
+            del self._held[sequence]
             self._given_up["invalid"] += 1
 
     def give_up_all(self, reason: Reason) -> None:

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zenoh
 from athrl_protocol import (
@@ -277,6 +278,23 @@ def test_chunk_that_does_not_fit_the_run_is_given_up_and_the_next_is_taken(
     assert marks == [0, 1, 3, 4]
     assert (uploader.statistics().acknowledged, uploader.statistics().given_up) == (4, 1)
     assert uploader.statistics().given_up_by_reason["invalid"] == 1
+
+
+def test_chunk_that_is_not_valid_is_given_up_and_those_around_it_arrive(
+    uploader: ChunkUploader, listen: Open, make_chunk: Make, store: _Store, caplog: pytest.LogCaptureFixture
+) -> None:
+    broken = make_chunk(1)
+    broken.motion[0] = np.nan
+    with ChunkIntake(listen(), RUN, store) as intake:
+        for chunk in (make_chunk(0), broken, make_chunk(2)):
+            assert uploader.submit(chunk, PATIENCE)
+        assert uploader.flush(PATIENCE)
+        assert intake.statistics().invalid == {}
+        assert intake.statistics().lost == 1  # it never saw that one
+    assert store.marks == [0, 2]
+    assert (uploader.statistics().produced, uploader.statistics().acknowledged) == (3, 2)
+    assert uploader.statistics().given_up_by_reason["invalid"] == 1
+    assert "chunk 1 is given up: chunk: motion has numbers that are not finite" in caplog.text
 
 
 def test_learner_from_an_older_checkpoint_takes_the_jump_and_counts_what_is_lost(

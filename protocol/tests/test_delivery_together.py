@@ -151,7 +151,7 @@ def test_large_chunks_go_together_only_as_far_as_they_fit(send, learner, queries
         return content, attachment
 
     monkeypatch.setattr("athrl_protocol.upload.joined", watched)
-    send(12, time=256)  # 66 KB each, as noise cannot be compressed
+    send(12, time=1024)  # 300 KB each, as noise cannot be compressed
     assert learner.marks == list(range(13))
     assert max(queries) == 3
     assert max(sizes) <= MOST_BYTES

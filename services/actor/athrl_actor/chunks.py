@@ -119,8 +119,8 @@ class ChunkCutter:
             column[self._place] = actions[level]
         self._policy_version[self._place] = policy_version
         self._place += 1
-        complete = {*ended, *(row for row in self._at_a_seam() if self._is_full_or_old(row))}
-        return [self._take(row, ended.get(row)) for row in sorted(complete)]
+        complete = {*ended, *self._full_or_old()}
+        return [self._take(row, ended.get(row)) for row in sorted(complete)] if complete else []
 
     def flush(self) -> list[Chunk]:
         """Return the transitions so far as chunks; the episodes may go on."""
@@ -180,13 +180,17 @@ class ChunkCutter:
         self._began[row] = self._place
         self._opened_at[row] = self._clock()
 
-    def _at_a_seam(self) -> list[int]:
+    def _at_a_seam(self) -> set[int]:
         """Environments of which a sequence ends, or begins, here and now."""
-        return sorted(self._phases[self._place % self._interval])
+        return self._phases[self._place % self._interval]
 
-    def _is_full_or_old(self, row: int) -> bool:
-        full = self._pending(row) == self._longest
-        return full or self._clock() - self._opened_at[row] >= LONGEST_SECONDS
+    def _full_or_old(self) -> list[int]:
+        """Environments whose chunk has no room for another sequence, or has waited for long enough."""
+        rows = self._at_a_seam()
+        if not rows:
+            return []
+        full, old = self._place - self._longest, self._clock() - LONGEST_SECONDS
+        return [row for row in rows if self._began[row] == full or self._opened_at[row] <= old]
 
     def _move_to_the_front(self) -> None:
         """Make room behind the decisions of the open chunks."""
@@ -241,5 +245,6 @@ def _padded(column: np.ndarray, rows: int) -> np.ndarray:
     """A copy of a column with zeros behind it, `rows` in all."""
     copy = np.empty((rows, *column.shape[1:]), column.dtype)
     copy[: len(column)] = column
-    copy[len(column) :] = 0
+    if len(column) < rows:
+        copy[len(column) :] = 0
     return copy
