@@ -213,8 +213,8 @@ def test_busy_learner_gets_the_chunks_later_once_each(
     uploader: ChunkUploader, listen: Open, make_chunk: Make, store: _Store, eventually: Callable[..., None]
 ) -> None:
     store.refuse = IntakeBusy()
+    _submit(uploader, make_chunk, range(8))  # before anybody answers: for one that is busy fewer may be held
     with ChunkIntake(listen(), RUN, store) as intake:
-        _submit(uploader, make_chunk, range(8))
         eventually(lambda: intake.statistics().busy >= 3)
         assert uploader.statistics().acknowledged == 0
         store.refuse = None
