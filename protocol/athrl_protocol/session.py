@@ -12,7 +12,6 @@ next.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import socket
 import threading
@@ -294,9 +293,18 @@ class Declared(Protocol):
 
 
 def undeclare_quietly(declared: Declared) -> None:
-    """Undeclare something whose session may be closed already, which has undeclared it too."""
-    with contextlib.suppress(zenoh.ZError):
+    """Undeclare something, or leave that to the end of its session.
+
+    The session may be closed already, which has undeclared it too. Or another thread may be using what was
+    declared, which Zenoh refuses: one that waits for room on a link whose other side has just left.
+    """
+    try:
         declared.undeclare()
+    except zenoh.ZError:
+        return
+    except RuntimeError as error:
+        if str(error) != "Already borrowed":
+            raise
 
 
 def doubt_about_certificate(session: zenoh.Session) -> str:
