@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterable
 
 import zenoh
 
@@ -59,9 +60,11 @@ class Reconnection:
         self._unanswered_since: float | None = None
         self._looked_at = time.monotonic()
 
-    def connected(self) -> None:
-        """A new connection stands: ask at once."""
-        self._forget(time.monotonic())
+    def hear(self, events: Iterable[zenoh.LinkEvent]) -> None:
+        """Ask at once over a new connection to the other side; those that others make are none of it."""
+        made = (event.link for event in events if event.kind == zenoh.SampleKind.PUT)
+        if any(self._is_to_other_side(link) for link in made):
+            self._forget(time.monotonic())
 
     def look(self) -> None:
         """Do what has to be done, without waiting for anything; call it a few times a second."""
@@ -98,10 +101,8 @@ class Reconnection:
             while (reply := self._replies.try_recv()) is not None:
                 answered = answered or reply.ok is not None
         except zenoh.ZError:
-            self._replies = None
-            if not answered and not self._has_answer:
-                answered = True
-            self._ask_at = now + AGAIN_SECONDS
+            answered = answered or not self._has_answer
+            self._replies, self._ask_at = None, now + AGAIN_SECONDS
         if answered:
             self._replies, self._unanswered_since, self._ask_at = None, None, now + ASK_SECONDS
             self._patience = min(LONGEST_PATIENCE, max(self._least_patience, 4 * (now - self._asked_at)))
@@ -120,10 +121,9 @@ class Reconnection:
 
     def _links(self) -> list[zenoh.Link]:
         """The connections to the other side."""
-        info, port = self._session.info, split_address(self._address)[1]
+        info = self._session.info
         others = {str(zid) for zid in info.routers_zid()}
-        return [
-            link
-            for link in info.links()
-            if str(link.zid) in others and split_address(str(link.dst))[1] == port
-        ]
+        return [link for link in info.links() if str(link.zid) in others and self._is_to_other_side(link)]
+
+    def _is_to_other_side(self, link: zenoh.Link) -> bool:
+        return split_address(str(link.dst))[1] == split_address(self._address)[1]

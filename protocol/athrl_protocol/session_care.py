@@ -53,8 +53,7 @@ class _Session(NamedTuple):
         """Have the connection made anew if nothing comes back over it."""
         if self.reconnection is None:
             return
-        if any(event.kind == zenoh.SampleKind.PUT for event in events):
-            self.reconnection.connected()
+        self.reconnection.hear(events)
         with contextlib.suppress(zenoh.ZError):  # the session is being closed
             self.reconnection.look()
 

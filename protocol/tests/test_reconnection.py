@@ -16,6 +16,7 @@ from contextlib import ExitStack
 import pytest
 import zenoh
 from athrl_protocol import open_session
+from athrl_protocol.session import open_router
 
 PATIENCE = 30.0
 LEASE = 60_000  # ms; nothing here is noticed because of it
@@ -106,6 +107,16 @@ def test_client_connects_anew_when_nothing_comes_back(
                 time.sleep(0.05)
 
 
+def test_router_connects_anew_however_often_its_clients_come(between: _OneWay, other_address: str) -> None:
+    """No learner of its run answers; what its clients connect says nothing about that."""
+    with open_router(listen=other_address, connect=between.address, run="none"):
+        deadline = time.monotonic() + PATIENCE
+        while between.came < 2:
+            assert time.monotonic() < deadline
+            open_session(connect=other_address, timeout=PATIENCE).close()
+            time.sleep(0.3)
+
+
 def test_connection_that_answers_is_left_alone(between: _OneWay) -> None:
     """Nobody has to have an answer: that there is none comes back as well."""
     with open_session(connect=between.address, timeout=PATIENCE):
@@ -116,6 +127,7 @@ def test_connection_that_answers_is_left_alone(between: _OneWay) -> None:
 _CLIENT = """
 import sys
 from athrl_protocol import open_session
+from athrl_protocol.session import open_router
 with open_session(connect=sys.argv[1], timeout=30):
     sys.stdin.read()
 """
