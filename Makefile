@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
-ROOMS := protocol driving planners services/actor services/learner services/evaluator athrl
+ROOMS := spaces protocol driving planners services/actor services/learner services/evaluator athrl
 RUN_FILE ?= town03.toml
 PYTEST_ARGS ?=
 

@@ -23,18 +23,20 @@ ARG PIP_INDEX_URL
 ARG PIP_EXTRA_INDEX_URL
 ARG PIP_TRUSTED_HOST
 ARG PIP_DEFAULT_TIMEOUT
+COPY spaces/pyproject.toml spaces/
 COPY protocol/pyproject.toml protocol/
 COPY driving/pyproject.toml driving/
 COPY services/actor/pyproject.toml services/actor/
 COPY athrl/pyproject.toml athrl/
-RUN deploy/install.sh dependencies protocol driving services/actor athrl
+RUN deploy/install.sh dependencies spaces protocol driving services/actor athrl
 
 # The rooms.
+COPY spaces spaces
 COPY protocol protocol
 COPY driving driving
 COPY services/actor services/actor
 COPY athrl athrl
-RUN deploy/install.sh rooms protocol driving services/actor athrl
+RUN deploy/install.sh rooms spaces protocol driving services/actor athrl
 USER athrl
 # The traffic's kernels are compiled here, not at every start; a processor of another kind compiles them anew.
 COPY deploy/warm_up.py deploy/

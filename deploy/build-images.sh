@@ -16,7 +16,7 @@ deploy/base-image.sh
 tree=$(mktemp --directory)
 trap 'rm -rf "$tree"' EXIT
 tar --create --exclude-vcs --exclude=__pycache__ --exclude=.venv --exclude='.*_cache' \
-    .dockerignore constraints.txt deploy protocol driving planners services athrl |
+    .dockerignore constraints.txt deploy spaces protocol driving planners services athrl |
     tar --extract --directory "$tree"
 cd "$tree"
 

@@ -24,16 +24,18 @@ ARG PIP_INDEX_URL
 ARG PIP_EXTRA_INDEX_URL
 ARG PIP_TRUSTED_HOST
 ARG PIP_DEFAULT_TIMEOUT
+COPY spaces/pyproject.toml spaces/
 COPY protocol/pyproject.toml protocol/
 COPY planners/pyproject.toml planners/
 COPY services/learner/pyproject.toml services/learner/
 COPY athrl/pyproject.toml athrl/
-RUN deploy/install.sh dependencies protocol planners services/learner athrl
+RUN deploy/install.sh dependencies spaces protocol planners services/learner athrl
 
 # The rooms.
+COPY spaces spaces
 COPY protocol protocol
 COPY planners planners
 COPY services/learner services/learner
 COPY athrl athrl
-RUN deploy/install.sh rooms protocol planners services/learner athrl
+RUN deploy/install.sh rooms spaces protocol planners services/learner athrl
 USER athrl

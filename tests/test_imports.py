@@ -14,15 +14,17 @@ ROOT = Path(__file__).parents[1]
 
 # A room's folder, its import name, and the rooms that it may import.
 ROOMS = {
-    "protocol": ("athrl_protocol", set()),
-    "driving": ("athrl_driving", set()),
-    "planners": ("athrl_planners", set()),
-    "services/actor": ("athrl_actor", {"athrl_protocol", "athrl_driving"}),
-    "services/learner": ("athrl_learner", {"athrl_protocol", "athrl_planners"}),
-    "services/evaluator": ("athrl_evaluator", {"athrl_protocol", "athrl_driving"}),
+    "spaces": ("athrl_spaces", set()),
+    "protocol": ("athrl_protocol", {"athrl_spaces"}),
+    "driving": ("athrl_driving", {"athrl_spaces"}),
+    "planners": ("athrl_planners", {"athrl_spaces"}),
+    "services/actor": ("athrl_actor", {"athrl_spaces", "athrl_protocol", "athrl_driving"}),
+    "services/learner": ("athrl_learner", {"athrl_spaces", "athrl_protocol", "athrl_planners"}),
+    "services/evaluator": ("athrl_evaluator", {"athrl_spaces", "athrl_protocol", "athrl_driving"}),
     "athrl": (
         "athrl",
         {
+            "athrl_spaces",
             "athrl_protocol",
             "athrl_driving",
             "athrl_planners",
