@@ -1,8 +1,11 @@
-"""The policy that is published: all levels' averaged trunks and actors, one decision at a time."""
+"""The policy that is published: all levels' averaged networks, one decision at a time.
+
+This module is what is exported as the artefact; there is no second definition.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -10,55 +13,66 @@ import torch
 from torch import Tensor, nn
 
 from athrl_planners.level import Level
-from athrl_planners.networks import Actor, Trunk, as_pixels
+from athrl_planners.networks import Trunk, as_pixels
+from athrl_planners.training_state import TrainingState
+from athrl_planners.updates import UpdateRule
 
 Array = TypeVar("Array")
 
 
 @dataclass(frozen=True)
 class PolicyOutput(Generic[Array]):
-    """Each level's decision, float32 [batch, actions] in physical units, and next states [batch, state]."""
+    """Each level's decision, float32 [batch, n] in physical units or indices, and next states [batch, state].
+
+    A level without a state has none here.
+    """
 
     actions: dict[str, Array]
     states: dict[str, Array]
 
 
 class LevelPolicy(nn.Module):
-    """Trunk and actor of one level, and the ranges of its actions."""
+    """What of one level decides."""
 
-    centre: Tensor
-    half_range: Tensor
-
-    def __init__(self, trunk: Trunk, actor: Actor, centre: Tensor, half_range: Tensor) -> None:
+    def __init__(self, level: Level) -> None:
         super().__init__()
-        self.trunk = trunk
-        self.actor = actor
-        self.register_buffer("centre", centre)
-        self.register_buffer("half_range", half_range)
+        self.deciding, self.every = level.averaged, level.plan.every
+        self._rules = (level.rule,)  # no submodule: its parameters are not published
+
+    @property
+    def rule(self) -> UpdateRule:
+        """How the level turns numbers into a decision."""
+        return self._rules[0]
 
     def forward(
-        self, pixels: Tensor, motion: Tensor, state: Tensor, above: Tensor | None
+        self, context: Tensor, above: Tensor, held: Tensor, noise: Tensor | None, forced: Tensor | None
     ) -> tuple[Tensor, Tensor]:
-        """One decision in physical units, [batch, actions], and the next state; `above` is normalised."""
-        features = self.trunk.features(pixels, motion)
-        context, state = self.trunk.unroll(features.unsqueeze(0), state)
-        return self.centre + self.half_range * torch.tanh(self.actor(context[0], above)), state
+        """One decision in physical units or an index, [batch, n], and what the level has to remember of it.
+
+        `held` [batch, n + 1] is the decision in force and for how many more it is held, or has no columns;
+        `forced` [batch, n] replaces the decision where it is not NaN.
+        """
+        action = self.rule.decide(self.deciding, context, above, noise)
+        if forced is not None:
+            action = torch.where(torch.isnan(forced), action, forced)
+            action = self.rule.decode(self.rule.encode(action).clamp(-1, 1))
+        if self.every == 1:
+            return action, held
+        left = held[:, -1:]
+        holds = left > 0.5
+        action = torch.where(holds, held[:, :-1], action)
+        left = torch.where(holds, left - 1, torch.full_like(left, self.every - 1))
+        return action, torch.cat((action, left), dim=1)
 
 
 class PolicyNetwork(nn.Module):
     """All levels, highest first. It shares its weights with the agent, so it is always the newest average."""
 
-    def __init__(self, levels: Sequence[Level]) -> None:
+    def __init__(self, state: TrainingState) -> None:
         super().__init__()
-        self.names = tuple(level.name for level in levels)
-        self.levels = nn.ModuleDict(
-            {
-                level.name: LevelPolicy(
-                    level.averaged_trunk, level.averaged_actor, level.centre, level.half_range
-                )
-                for level in levels
-            }
-        )
+        self.trunks = state.averaged_trunks
+        self.levels = nn.ModuleDict({level.name: LevelPolicy(level) for level in state.levels})
+        self._trunk_of = {level.name: state.trunk_of(level.name) for level in state.levels}
 
     def forward(
         self,
@@ -70,22 +84,32 @@ class PolicyNetwork(nn.Module):
     ) -> PolicyOutput[Tensor]:
         """Decide for images uint8 [batch, height, width, channels] and motion float32 [batch, motion].
 
-        `states` float32 [batch, state] of each level; `noise` and `forced` float32 [batch, actions], physical
-        units, of any level but the last: the level's action becomes the forced one where that is not NaN,
-        else its own with the noise, within its range; that is what the level below sees and what is returned.
+        `states` float32 [batch, state] of each level that has one; `noise` and `forced` float32 [batch, n] of
+        any level: noise in physical units (standard normal for a random policy), forced in physical units or
+        an index, NaN where the level is free. A level sees what the levels above it put out.
         """
+        pixels = as_pixels(images)
+        contexts: dict[str, Tensor] = {}
         actions: dict[str, Tensor] = {}
         next_states: dict[str, Tensor] = {}
-        above: Tensor | None = None
-        pixels = as_pixels(images)
-        for name in self.names:
-            level = self.levels[name]
+        seen: list[Tensor] = []
+        for name, level in self.levels.items():
             assert isinstance(level, LevelPolicy)
-            action, next_states[name] = level(pixels, motion, states[name], above)
-            if name in noise:
-                action = action + noise[name]
-            if name in forced:
-                action = torch.where(torch.isnan(forced[name]), action, forced[name])
-            above = torch.clamp((action - level.centre) / level.half_range, -1, 1)
-            actions[name] = level.centre + level.half_range * above
+            state, remembered = states.get(name), []
+            size = 0
+            if self._trunk_of[name] == name:
+                trunk = self.trunks[name]
+                assert isinstance(trunk, Trunk)
+                size = trunk.state_size
+                own = None if not size or state is None else state[:, :size]
+                contexts[name], own = trunk.step(trunk.features(pixels, motion), own)
+                remembered += [] if own is None else [own]
+            context = contexts[self._trunk_of[name]]
+            held = context[:, :0] if state is None else state[:, size:]
+            above = torch.cat(seen, dim=1) if seen else context[:, :0]
+            actions[name], held = level(context, above, held, noise.get(name), forced.get(name))
+            seen.append(level.rule.encode(actions[name]))
+            remembered += [held] if level.every > 1 else []
+            if remembered:
+                next_states[name] = torch.cat(remembered, dim=1)
         return PolicyOutput(actions=actions, states=next_states)

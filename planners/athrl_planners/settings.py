@@ -1,78 +1,222 @@
-"""What a planner is told: its observation, its actions and how it learns. The defaults are the caller's."""
+"""The settings of planners: what each part can be told, with default, unit, bounds and meaning.
+
+A planner's table is a class put together from these parts (`athrl_planners.athrl.AtHRLSettings`, ...). The
+run file's section `[planner]`, its comments, its errors and the reference page follow from it. No torch
+here: the command reads run files without it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
-NoiseKind = Literal["ornstein-uhlenbeck", "gaussian"]
+from athrl_spaces import Noise, Sampled
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
-@dataclass(frozen=True)
-class ObservationSettings:
-    """An observation: an image uint8 [size, size, channels] and a motion vector float32 [motion]."""
+class PlannerSettings(BaseModel):
+    """How a planner is built and learns; unknown keys and wrong types are refused."""
 
-    image_size: int  # pixels
-    image_channels: int = 4
-    motion_names: tuple[str, ...] = ("speed_over_8", "steering_over_0.3")
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    def __post_init__(self) -> None:
-        if self.image_size < 8:
-            raise ValueError(f"image_size is {self.image_size}; three halvings need at least 8 pixels")
+    # networks
+    encoder: Literal["small", "paper"] = Field(
+        default="small",
+        description="Of the image; small: three convolutions of 16, 32, 64 channels; paper: a tower of five "
+        "for the bird's eye view and one for the lidar.",
+    )
+    hidden_features: int = Field(
+        default=128, ge=8, le=2048, description="Width of the layer that joins image and motion."
+    )
+    head_features: int = Field(
+        default=256, ge=8, le=2048, description="Width of the hidden layers of actors and critics."
+    )
+    memory: Literal["none", "lstm"] = Field(
+        default="none", description="What the planner remembers; lstm is the paper."
+    )
+    recurrent_features: int = Field(default=64, ge=4, le=1024, description="Units of the LSTM.")
+    shared_trunk: bool = Field(
+        default=True,
+        description="One encoder and memory for all levels; false: each level has its own (the paper).",
+    )
+
+    # values
+    discount: float = Field(default=0.97, ge=0, lt=1, description="Discount of one decision.")
+    n_step: int = Field(
+        default=3,
+        ge=1,
+        le=64,
+        description="Decisions whose rewards are summed before a target relies on a value; 1 is the paper.",
+    )
+    reward_scale: float = Field(
+        default=0.02, gt=0, le=1000, description="Factor on rewards before they reach the critics."
+    )
+    end_penalty: float = Field(
+        default=16.0,
+        ge=0,
+        le=10_000,
+        description="Extra cost, in scaled reward, of an episode that ends by collision or lane exit; for "
+        "training only. 0 is the paper.",
+    )
+    critic: Literal["distributional", "scalar"] = Field(
+        default="distributional",
+        description="What a critic predicts: a distribution over returns (C51), or their mean (the paper).",
+    )
+    critics: int = Field(
+        default=2,
+        ge=1,
+        le=2,
+        description="Critics of a level; of two the smaller value counts. 1: the paper.",
+    )
+    atoms: int = Field(default=101, ge=3, le=1001, description="Values in a distributional critic's support.")
+    value_min: float = Field(
+        default=-24.0, ge=-1e6, le=1e6, description="Lowest value of that support, in scaled reward."
+    )
+    value_max: float = Field(
+        default=24.0, ge=-1e6, le=1e6, description="Highest value of that support, in scaled reward."
+    )
+    loss: Literal["squared", "huber"] = Field(
+        default="squared", description="Of a scalar critic's error; huber is the paper."
+    )
+
+    # learning
+    learning_rate: float = Field(default=3e-4, gt=0, le=1, description="Adam's step size.")
+    final_learning_rate: float = Field(
+        default=0.1,
+        ge=0,
+        le=1,
+        description="Share of the step size that is left at the run's end; it falls linearly. 1: the paper.",
+    )
+    tau: float = Field(
+        default=0.05,
+        gt=0,
+        le=1,
+        description="Share of the online weights that the target networks take at each update; 0.005 is the "
+        "paper, and too slow for runs of some thousand updates.",
+    )
+    gradient_norm: float = Field(
+        default=10.0, gt=0, le=1e9, description="Gradients are clipped to this norm."
+    )
+    average_decay: float = Field(
+        default=0.95,
+        ge=0,
+        lt=1,
+        description="Decay of the averaged weights that are published; 0 publishes the newest.",
+    )
+    mirror: bool = Field(
+        default=False,
+        description="Exchange left and right in half of what is trained on; only without memory.",
+    )
+
+    @model_validator(mode="after")
+    def _check_against_each_other(self) -> Self:
+        if not self.value_min < self.value_max:
+            raise ValueError(
+                f"planner.value_min = {self.value_min:g}: should be below planner.value_max = "
+                f"{self.value_max:g}"
+            )
+        if self.mirror and self.memory != "none":
+            raise ValueError(
+                "planner.mirror = true: should be false with planner.memory = "
+                f'"{self.memory}", as remembered states cannot be mirrored'
+            )
+        return self
+
+
+class ActorCriticSettings(PlannerSettings):
+    """Of planners whose levels decide numbers: an actor climbs what critics predict."""
+
+    update_rule: Literal["ddpg", "td3", "sac"] = Field(
+        default="td3",
+        description="How actors learn; ddpg is the paper; td3: delayed actors and smoothed target actions; "
+        "sac: random actors with an entropy bonus.",
+    )
+    saturation_penalty: float = Field(
+        default=0.02,
+        ge=0,
+        le=100,
+        description="Weight of the squared output before its tanh in the actors' loss; 0 is the paper.",
+    )
+    td3_actor_delay: int = Field(
+        default=2, ge=1, le=1000, description="With td3: critic updates for each actor update."
+    )
+    td3_target_noise: float = Field(
+        default=0.1,
+        ge=0,
+        le=2,
+        description="With td3: deviation of the noise on target actions, half-ranges.",
+    )
+    sac_temperature: float = Field(
+        default=0.1, gt=0, le=100, description="With sac: weight of the entropy at the beginning."
+    )
+    sac_target_entropy: float = Field(
+        default=-1.0,
+        ge=-20,
+        le=2,
+        description="With sac: entropy of each decided number that the temperature is tuned for.",
+    )
+    noise_low: float = Field(
+        default=0.05,
+        ge=0,
+        le=2,
+        description="Deviation of the exploration noise in an actor's first environment, half-ranges.",
+    )
+    noise_high: float = Field(
+        default=0.4,
+        ge=0,
+        le=2,
+        description="The same in its last one; those between lie evenly between. Both 0.2 is the paper.",
+    )
+    noise_damping: float = Field(
+        default=0.15,
+        gt=0,
+        le=1,
+        description="Share of the noise that is forgotten at each decision; 1: independent of the last one.",
+    )
+
+    @model_validator(mode="after")
+    def _check_noise(self) -> Self:
+        if self.noise_low > self.noise_high:
+            raise ValueError(
+                f"planner.noise_low = {self.noise_low:g}: should be at most planner.noise_high = "
+                f"{self.noise_high:g}"
+            )
+        return self
 
     @property
-    def motion_size(self) -> int:
-        """Numbers in the motion vector."""
-        return len(self.motion_names)
-
-    @property
-    def image_shape(self) -> tuple[int, int, int]:
-        """Height, width, channels of an image."""
-        return self.image_size, self.image_size, self.image_channels
+    def noise(self) -> Noise | Sampled:
+        """How actors explore."""
+        if self.update_rule == "sac":
+            return Sampled()
+        return Noise(self.noise_low, self.noise_high, self.noise_damping)
 
 
-@dataclass(frozen=True)
-class ActionRange:
-    """One number that a level decides, in physical units, and the noise with which actors explore it."""
+class QLearningSettings(PlannerSettings):
+    """Of planners whose levels choose: the choice with the highest value is taken."""
 
-    name: str
-    unit: str
-    low: float
-    high: float
-    noise: NoiseKind
-    noise_scale: float  # half-ranges
-    damping: float = 0.0  # of the Ornstein-Uhlenbeck process; a Gaussian has none
+    double: bool = Field(
+        default=True,
+        description="The online network chooses the action whose target value counts (double DQN); false is "
+        "the paper.",
+    )
+    dueling: bool = Field(
+        default=True,
+        description="Values are a state's value and the choices' advantages; false is the paper.",
+    )
+    epsilon_low: float = Field(
+        default=0.02,
+        ge=0,
+        le=1,
+        description="Share of random choices in an actor's first environment.",
+    )
+    epsilon_high: float = Field(
+        default=0.2, ge=0, le=1, description="The same in its last one. Both 0.05 is the paper."
+    )
 
-    def __post_init__(self) -> None:
-        if not self.low < self.high:
-            raise ValueError(f"the range of {self.name} is {self.low}..{self.high}; low must be below high")
-
-    @property
-    def centre(self) -> float:
-        """The value of a normalised 0."""
-        return (self.high + self.low) / 2
-
-    @property
-    def half_range(self) -> float:
-        """The distance from the centre to a normalised 1."""
-        return (self.high - self.low) / 2
-
-
-@dataclass(frozen=True)
-class PlannerSettings:
-    """How both levels learn. Every field is required; the run file documents them and has the defaults."""
-
-    hidden_features: int  # width of the layers before and after the LSTM
-    recurrent_features: int  # units of each LSTM
-    discount: float  # of one decision
-    learning_rate: float  # Adam, actors and critics
-    soft_target: float  # share of the online weights taken into the targets at each update
-    reward_scale: float  # factor on rewards before they reach the critics
-    saturation_penalty: float  # weight of the squared pre-tanh output in the actors' loss
-    twin_critics: bool  # two critics and the smaller value (TD3)
-    actor_delay: int  # critic updates for each actor update
-    target_noise: float  # deviation of the noise on target actions, half-ranges
-    intention_gradient: float  # weight of the trajectory critic's gradient through the intention
-    gradient_norm: float  # gradients are clipped to this norm
-    average_decay: float  # decay of the averaged actor that is published; 0 publishes the newest
-    burn_in: int  # first decisions of a sequence that only warm the recurrent states
+    @model_validator(mode="after")
+    def _check_epsilon(self) -> Self:
+        if self.epsilon_low > self.epsilon_high:
+            raise ValueError(
+                f"planner.epsilon_low = {self.epsilon_low:g}: should be at most planner.epsilon_high = "
+                f"{self.epsilon_high:g}"
+            )
+        return self

@@ -1,38 +1,20 @@
-"""A small planner and made-up experience for the tests of this room."""
+"""Small planners and made-up experience for the tests of this room."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from athrl_planners import ActionRange, AtHRL, ObservationSettings, PlannerSettings, Sequence, SequenceBatch
+from athrl_planners import Agent, Sequence, SequenceBatch, SequenceReplay, make_agent, planners
+from athrl_planners.making import make_replay
+from athrl_spaces import Continuous, LevelDescription, Observation
 
-ACTIONS = {
-    "intention": (ActionRange("intention", "", 0.0, 2.0, "ornstein-uhlenbeck", 0.2, 0.15),),
-    "trajectory": (
-        ActionRange("target_speed", "m/s", 0.0, 7.95, "ornstein-uhlenbeck", 0.2, 0.15),
-        ActionRange("waypoint_angle", "rad", -0.52, 0.52, "gaussian", 0.1),
-    ),
-}
-SETTINGS = PlannerSettings(
-    hidden_features=32,
-    recurrent_features=16,
-    discount=0.97,
-    learning_rate=1e-3,
-    soft_target=0.005,
-    reward_scale=0.02,
-    saturation_penalty=0.02,
-    twin_critics=True,
-    actor_delay=2,
-    target_noise=0.1,
-    intention_gradient=1.0,
-    gradient_norm=10.0,
-    average_decay=0.995,
-    burn_in=2,
-)
-OBSERVATION = ObservationSettings(image_size=16)
 TIME = 5
+SMALL = {"hidden_features": 16, "head_features": 24, "recurrent_features": 8, "atoms": 11}
+OBSERVATION = Observation(8)
 
 
 @pytest.fixture(autouse=True)
@@ -41,69 +23,113 @@ def _one_thread() -> None:
 
 
 @pytest.fixture
-def make_agent() -> Callable[..., AtHRL]:
-    """An agent of the small settings; keyword arguments change settings."""
+def new_agent() -> Callable[..., Agent]:
+    """A small agent; keyword arguments that it does not name are settings of its planner."""
 
-    def make(seed: int = 1, image_size: int = 16, **changes: object) -> AtHRL:
-        return AtHRL(replace(SETTINGS, **changes), ObservationSettings(image_size), ACTIONS, seed)
+    def make(
+        kind: str = "athrl", *, seed: int = 1, burn_in: int = 0, image_size: int = 8, **settings: Any
+    ) -> Agent:
+        return make_agent(
+            kind, {**SMALL, **settings}, observation=Observation(image_size), seed=seed, burn_in=burn_in
+        )
 
     return make
 
 
+def _state(level: LevelDescription, held: bool, random: np.random.Generator) -> np.ndarray:
+    """A recurrent state; `held`: with its last two numbers a decision and for how many more it is held."""
+    state = random.uniform(-0.5, 0.5, level.state_size).astype(np.float32)
+    if held:
+        state[-2:] = random.uniform(0, 2), random.integers(2)
+    return state
+
+
+def _actions(level: LevelDescription, time: int, random: np.random.Generator) -> np.ndarray:
+    columns = [
+        random.uniform(*action.bounds, time)
+        if isinstance(action, Continuous)
+        else random.integers(len(action.choices), size=time)
+        for action in level.actions
+    ]
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
 @pytest.fixture
-def make_sequence() -> Callable[..., Sequence]:
-    """A sequence of random numbers, by a seed; `start` stores a recurrent state of zeros."""
+def new_sequence() -> Callable[..., Sequence]:
+    """A sequence of random numbers for an agent, by a seed; `start`: an episode begins with it."""
 
     def make(
-        seed: int, length: int = TIME, terminated: bool = False, start: bool = False, time: int = TIME
+        agent: Agent,
+        seed: int,
+        length: int = TIME,
+        terminated: bool = False,
+        start: bool = False,
+        time: int = TIME,
     ) -> Sequence:
         random = np.random.default_rng(seed)
-        state = np.zeros(32) if start else random.uniform(-0.5, 0.5, 32)
-        speed, angle = random.uniform(0, 7.95, time), random.uniform(-0.52, 0.52, time)
-        images = random.integers(0, 256, (time + 1, *OBSERVATION.image_shape), dtype=np.uint8)
+        observation = agent.description.observation
+        images = random.integers(0, 256, (time + 1, *observation.image_shape), dtype=np.uint8)
         motion = random.normal(size=(time + 1, 2)).astype(np.float32)
         images[length + 1 :] = 0
         motion[length + 1 :] = 0
-        padding = np.arange(time) >= length
-        actions = {
-            "intention": random.uniform(0, 2, (time, 1)).astype(np.float32),
-            "trajectory": np.stack((speed, angle), axis=1).astype(np.float32),
-        }
-        rewards = {level: random.normal(0, 20, time).astype(np.float32) for level in ACTIONS}
+        actions, rewards, states = {}, {}, {}
+        for level, trained in zip(agent.description.levels, agent.state.levels, strict=True):
+            actions[level.name] = _actions(level, time, random)
+            rewards[level.name] = random.normal(0, 20, time).astype(np.float32)
+            state = _state(level, trained.plan.every > 1, random)
+            states[level.name] = np.zeros_like(state) if start else state
         for column in (*actions.values(), *rewards.values()):
-            column[padding] = 0
-        return Sequence(
-            images=images,
-            motion=motion,
-            actions=actions,
-            rewards=rewards,
-            initial_state={level: state.astype(np.float32) for level in ACTIONS},
-            length=length,
-            terminated=terminated,
+            column[length:] = 0
+        return Sequence(images, motion, actions, rewards, states, length, terminated)
+
+    return make
+
+
+def _stacked(sequences: list[Sequence], column: str) -> dict[str, np.ndarray]:
+    return {
+        level: np.stack([getattr(sequence, column)[level] for sequence in sequences])
+        for level in sequences[0].actions
+    }
+
+
+@pytest.fixture
+def stack() -> Callable[..., SequenceBatch]:
+    """Sequences -> a batch of just these."""
+
+    def make(sequences: list[Sequence], weights: list[float] | None = None) -> SequenceBatch:
+        return SequenceBatch(
+            images=np.stack([sequence.images for sequence in sequences]),
+            motion=np.stack([sequence.motion for sequence in sequences]),
+            actions=_stacked(sequences, "actions"),
+            rewards=_stacked(sequences, "rewards"),
+            initial_state=_stacked(sequences, "initial_state"),
+            length=np.array([sequence.length for sequence in sequences]),
+            terminated=np.array([sequence.terminated for sequence in sequences]),
+            places=np.arange(len(sequences)),
+            weights=np.ones(len(sequences), np.float32) if weights is None else np.float32(weights),
         )
 
     return make
 
 
 @pytest.fixture
-def stack() -> Callable[[list[Sequence]], SequenceBatch]:
-    """Sequences -> a batch of just these."""
+def replay_of() -> Callable[..., SequenceReplay]:
+    """A replay, as large as needed, that holds these sequences in its slots 0, 1, ..."""
 
-    def make(sequences: list[Sequence]) -> SequenceBatch:
-        def levels(column: str) -> dict[str, np.ndarray]:
-            return {
-                level: np.stack([getattr(sequence, column)[level] for sequence in sequences])
-                for level in ACTIONS
-            }
-
-        return SequenceBatch(
-            images=np.stack([sequence.images for sequence in sequences]),
-            motion=np.stack([sequence.motion for sequence in sequences]),
-            actions=levels("actions"),
-            rewards=levels("rewards"),
-            initial_state=levels("initial_state"),
-            length=np.array([sequence.length for sequence in sequences]),
-            terminated=np.array([sequence.terminated for sequence in sequences]),
-        )
+    def make(
+        agent: Agent, sequences: list[Sequence], seed: int = 1, priority: tuple[float, float] | None = None
+    ) -> SequenceReplay:
+        time = len(sequences[0].motion) - 1
+        replay = make_replay(agent, time * len(sequences), time, seed, priority)
+        for sequence in sequences:
+            replay.insert(sequence)
+        return replay
 
     return make
+
+
+@pytest.fixture
+def fresh_registry() -> Iterator[Callable[[], None]]:
+    """Call it after a change of the registry; the next test looks again, too."""
+    yield planners.cache_clear
+    planners.cache_clear()

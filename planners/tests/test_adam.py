@@ -5,7 +5,7 @@ import sys
 
 import pytest
 import torch
-from athrl_planners.adam import Adam
+from athrl_planners.updates.adam import Adam
 
 SHAPES = ((7, 5), (5,), (3, 2, 4, 4))
 
@@ -49,7 +49,7 @@ def test_steps_are_those_of_torch_bit_for_bit() -> None:
 
 
 @pytest.mark.parametrize("before", [0, 6])
-def test_state_of_torch_is_gone_on_from(before: int) -> None:
+def test_training_continues_from_a_state_of_torch(before: int) -> None:
     """Checkpoints of earlier releases hold one; it has no moments before the first step."""
     theirs = parameters(1)
     peer = torch.optim.Adam(theirs, 3e-4, fused=True)
@@ -87,7 +87,7 @@ def test_training_does_not_load_torchs_compiler() -> None:
     """It would take a second of every learner's start, and so of the time until a killed one is back."""
     program = """
 import sys, torch
-from athrl_planners.adam import Adam
+from athrl_planners.updates.adam import Adam
 parameter = torch.ones(3).requires_grad_()
 parameter.grad = torch.ones(3)
 torch.nn.utils.clip_grad_norm_([parameter], 1.0)

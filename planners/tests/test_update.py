@@ -1,6 +1,7 @@
 """What an update learns from, and what it must not look at."""
 
-import io
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -8,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from athrl_planners import AtHRL, PolicyExporter, Sequence, SequenceBatch
+from athrl_planners import Agent, Sequence, SequenceBatch, SequenceReplay, TrainingDiverged
 
-MakeAgent = Callable[..., AtHRL]
-MakeSequence = Callable[..., Sequence]
-Stack = Callable[[list[Sequence]], SequenceBatch]
+MEMORY = {"memory": "lstm"}
+NewAgent = Callable[..., Agent]
+NewSequence = Callable[..., Sequence]
+Stack = Callable[..., SequenceBatch]
+After = Callable[..., dict[str, Any]]
 
 
 def flatten(state: Any) -> list[torch.Tensor]:
@@ -24,46 +27,75 @@ def flatten(state: Any) -> list[torch.Tensor]:
     return [tensor for part in state for tensor in flatten(part)] if isinstance(state, (list, tuple)) else []
 
 
-def gradients(state: dict[str, Any]) -> list[torch.Tensor]:
-    """A tenth of all gradients of the first update: the first moments of the optimisers."""
-    optimisers = [part for level in state["levels"].values() for part in level.values() if "state" in part]
-    assert optimisers
-    return [moments["exp_avg"] for part in optimisers for moments in part["state"].values()]
-
-
 def equal(one: Any, other: Any) -> bool:
     ours, theirs = flatten(one), flatten(other)
-    return len(ours) == len(theirs) and all(map(torch.equal, ours, theirs))
+    return len(ours) == len(theirs) > 0 and all(map(torch.equal, ours, theirs))
+
+
+def part(state: dict[str, Any], *begins: str) -> list[torch.Tensor]:
+    """The networks whose names begin like one of these."""
+    found = [tensor for name, tensor in state["networks"].items() if name.startswith(begins)]
+    assert found
+    return found
 
 
 @pytest.fixture
-def after(make_agent: MakeAgent) -> Callable[..., dict[str, Any]]:
+def after(new_agent: NewAgent) -> After:
     """The state of a fresh agent after updates with one batch."""
 
-    def train(batch: SequenceBatch, updates: int = 2, weights: Any = None, **changes: Any) -> dict[str, Any]:
-        agent = make_agent(**changes)
+    def train(batch: SequenceBatch, updates: int = 2, kind: str = "athrl", **changes: Any) -> dict[str, Any]:
+        agent = new_agent(kind, **{**MEMORY, **changes})
         for _ in range(updates):
-            agent.update(batch, weights)
+            agent.update(batch)
         return agent.state_dict()
 
     return train
 
 
-def test_padding_never_changes_an_update(make_sequence: MakeSequence, stack: Stack, after: Any) -> None:
-    clean = [make_sequence(1, length=3), make_sequence(2, length=5), make_sequence(3, length=1, start=True)]
+@pytest.fixture
+def remembering(new_agent: NewAgent, new_sequence: NewSequence) -> Callable[..., Sequence]:
+    """A sequence of a planner with a memory."""
+    agent = new_agent(**MEMORY)
+    return lambda *arguments, **keywords: new_sequence(agent, *arguments, **keywords)
+
+
+@pytest.mark.parametrize("n_step", [1, 3])
+def test_padding_never_changes_an_update(
+    remembering: NewSequence, stack: Stack, after: After, n_step: int
+) -> None:
+    clean = [remembering(1, length=3), remembering(2, length=5), remembering(3, length=1, start=True)]
     dirty = stack(clean)
     for row, length in enumerate(dirty.length):
         dirty.images[row, length + 1 :] = 255
         dirty.motion[row, length + 1 :] = np.nan
         for column in (*dirty.actions.values(), *dirty.rewards.values()):
             column[row, length:] = np.nan
-    assert equal(after(stack(clean)), after(dirty))
+    assert equal(after(stack(clean), n_step=n_step), after(dirty, n_step=n_step))
 
 
-def test_a_padded_sequence_trains_like_one_without_padding(
-    make_sequence: MakeSequence, stack: Stack, after: Any
+@pytest.mark.parametrize("kind", ["athrl", "hdqn"])
+def test_padding_is_never_drawn_nor_looked_at_without_a_memory(
+    new_agent: NewAgent, new_sequence: NewSequence, replay_of: Callable[..., SequenceReplay], kind: str
 ) -> None:
-    padded = make_sequence(1, length=3)
+    one, other = new_agent(kind), new_agent(kind)
+    clean = [new_sequence(one, seed, length=length) for seed, length in enumerate((1, 3, 5))]
+    dirty = [new_sequence(one, seed, length=length) for seed, length in enumerate((1, 3, 5))]
+    for sequence in dirty:
+        sequence.images[sequence.length + 1 :] = 255
+        sequence.motion[sequence.length + 1 :] = np.nan
+        for column in (*sequence.actions.values(), *sequence.rewards.values()):
+            column[sequence.length :] = np.nan
+    for agent, sequences in ((one, clean), (other, dirty)):
+        replay = replay_of(agent, sequences)
+        for _ in range(2):
+            agent.update(replay.sample(16))
+    assert equal(one.state_dict(), other.state_dict())
+
+
+def test_padded_sequence_trains_like_one_without_padding(
+    new_agent: NewAgent, remembering: NewSequence, stack: Stack
+) -> None:
+    padded = remembering(1, length=3)
     short = replace(
         padded,
         images=padded.images[:4],
@@ -71,37 +103,36 @@ def test_a_padded_sequence_trains_like_one_without_padding(
         actions={level: column[:3] for level, column in padded.actions.items()},
         rewards={level: column[:3] for level, column in padded.rewards.items()},
     )
-    rate = 1e-3
-    one, other = (after(stack([each]), updates=1, learning_rate=rate) for each in (padded, short))
-    for a, b in zip(gradients(one), gradients(other), strict=True):
-        torch.testing.assert_close(a, b, atol=1e-6, rtol=1e-4)
-    for a, b in zip(flatten(one), flatten(other), strict=True):
-        # Adam's first step is as long for a gradient of mere rounding as for any other: such weights differ.
-        alike = torch.isclose(a, b, atol=1e-5, rtol=1e-4)
-        assert (~alike).sum() <= 1e-3 * alike.numel()
-        torch.testing.assert_close(a, b, atol=2 * rate, rtol=1e-4)
+    moments = []
+    for sequence in (padded, short):
+        agent = new_agent(**MEMORY)
+        agent.update(stack([sequence]))
+        moments.append(agent.state_dict()["critic_optimiser"]["state"])
+    for place in moments[0]:
+        for name in ("exp_avg", "exp_avg_sq"):
+            torch.testing.assert_close(moments[0][place][name], moments[1][place][name], atol=1e-6, rtol=1e-4)
 
 
-def test_a_sequence_never_learns_from_its_neighbour_in_the_batch(
-    make_sequence: MakeSequence, stack: Stack, after: Any
+def test_sequence_never_learns_from_its_neighbour_in_the_batch(
+    remembering: NewSequence, stack: Stack, after: After
 ) -> None:
-    weights = np.float32([1, 0])
-    one = after(stack([make_sequence(1), make_sequence(2)]), weights=weights)
-    other = after(stack([make_sequence(1), make_sequence(3)]), weights=weights)
+    one = after(stack([remembering(1), remembering(2)], weights=[1, 0]))
+    other = after(stack([remembering(1), remembering(3)], weights=[1, 0]))
     assert equal(one, other)
 
 
 def test_what_follows_a_true_end_is_never_looked_at(
-    make_sequence: MakeSequence, stack: Stack, after: Any
+    remembering: NewSequence, stack: Stack, after: After
 ) -> None:
-    ended = make_sequence(1, length=4, terminated=True)
+    ended = remembering(1, length=4, terminated=True)
     changed = replace(ended, images=ended.images.copy())
     changed.images[4] = 255
-    assert equal(after(stack([ended])), after(stack([changed])))
+    # A distribution that is moved to one point sums up to 1 only within rounding: see test_values.py.
+    assert equal(after(stack([ended]), critic="scalar"), after(stack([changed]), critic="scalar"))
 
 
-def test_a_time_limit_is_not_an_end(make_sequence: MakeSequence, stack: Stack, after: Any) -> None:
-    cut = make_sequence(1, length=4, terminated=False)
+def test_time_limit_is_not_an_end(remembering: NewSequence, stack: Stack, after: After) -> None:
+    cut = remembering(1, length=4, terminated=False)
     changed = replace(cut, images=cut.images.copy())
     changed.images[4] = 255
     assert not equal(after(stack([cut])), after(stack([changed])))
@@ -111,179 +142,122 @@ def test_a_time_limit_is_not_an_end(make_sequence: MakeSequence, stack: Stack, a
     ("length", "start", "trained"), [(5, False, False), (5, True, True), (2, False, False), (1, False, True)]
 )
 def test_burn_in_spares_the_first_decisions_but_no_start_and_no_last_one(
-    make_sequence: MakeSequence, stack: Stack, after: Any, length: int, start: bool, trained: bool
+    remembering: NewSequence, stack: Stack, after: After, length: int, start: bool, trained: bool
 ) -> None:
-    sequence = make_sequence(1, length=length, start=start, terminated=True)
+    sequence = remembering(1, length=length, start=start, terminated=True)
     changed = replace(sequence, rewards={level: r.copy() for level, r in sequence.rewards.items()})
     for rewards in changed.rewards.values():
         rewards[0] += 50
-    assert equal(after(stack([sequence])), after(stack([changed]))) is not trained
+    one, other = (after(stack([each]), burn_in=2) for each in (sequence, changed))
+    assert equal(one, other) is not trained
 
 
-def test_the_last_decision_of_a_short_rest_is_trained(
-    make_sequence: MakeSequence, stack: Stack, after: Any
+def test_last_decision_of_a_short_rest_is_trained(
+    remembering: NewSequence, stack: Stack, after: After
 ) -> None:
-    crash = make_sequence(1, length=2, terminated=True)
+    crash = remembering(1, length=2, terminated=True)
     changed = replace(crash, rewards={level: r.copy() for level, r in crash.rewards.items()})
     for rewards in changed.rewards.values():
         rewards[1] -= 200
-    assert not equal(after(stack([crash])), after(stack([changed])))
-
-
-def test_both_td_errors_reach_the_intention_actor(
-    make_agent: MakeAgent, make_sequence: MakeSequence, stack: Stack
-) -> None:
-    batch = stack([make_sequence(seed) for seed in range(4)])
-
-    def intention_gradient(weight: float) -> float:
-        agent = make_agent(intention_gradient=weight, saturation_penalty=0.0, actor_delay=1)
-        _blind_to_actions(agent)
-        return agent.update(batch)["intention/actor_gradient"]
-
-    assert intention_gradient(0.0) < 1e-12
-    assert intention_gradient(1.0) > 1e-7
-    assert intention_gradient(2.0) == pytest.approx(2 * intention_gradient(1.0), rel=1e-3)
-
-
-def _blind_to_actions(agent: AtHRL) -> None:
-    """Make the high level's critics say 0 whatever is decided, and keep them so."""
-    with torch.no_grad():
-        for critic in agent._high.online.critics:
-            critic.layers[-1].weight.zero_()
-            critic.layers[-1].bias.zero_()
-            for parameter in critic.parameters():
-                parameter.requires_grad_(False)
-    agent._high.step_critics = lambda: 0.0  # type: ignore[method-assign]
-
-
-def test_the_joint_gradient_changes_the_intention_actor_only(
-    make_sequence: MakeSequence, stack: Stack, after: Any
-) -> None:
-    batch = stack([make_sequence(seed) for seed in range(4)])
-    alone = after(batch, updates=1, intention_gradient=0.0, actor_delay=1)["levels"]
-    joint = after(batch, updates=1, intention_gradient=1.0, actor_delay=1)["levels"]
-    assert equal(alone["trajectory"], joint["trajectory"])
-    assert not equal(alone["intention"]["online"], joint["intention"]["online"])
-
-
-def test_each_level_learns_from_its_own_reward(make_sequence: MakeSequence, stack: Stack, after: Any) -> None:
-    batch = stack([make_sequence(seed) for seed in range(4)])
-    other = replace(batch, rewards={**batch.rewards, "intention": batch.rewards["intention"] + 30})
-    one, two = after(batch, updates=1)["levels"], after(other, updates=1)["levels"]
-    assert equal(one["trajectory"], two["trajectory"])
-    assert not equal(one["intention"], two["intention"])
+    assert not equal(after(stack([crash]), burn_in=2), after(stack([changed]), burn_in=2))
 
 
 def test_training_starts_from_each_levels_own_stored_state(
-    make_sequence: MakeSequence, stack: Stack, after: Any
+    new_agent: NewAgent, new_sequence: NewSequence, stack: Stack, after: After
 ) -> None:
-    batch = stack([make_sequence(seed) for seed in range(4)])
-    states = {**batch.initial_state, "trajectory": batch.initial_state["trajectory"] + 0.3}
-    other = replace(batch, initial_state=states)
-    one, two = (
-        after(data, updates=1, actor_delay=1, intention_gradient=0.0)["levels"] for data in (batch, other)
-    )
-    assert equal(one["intention"], two["intention"])
-    assert not equal(one["trajectory"], two["trajectory"])
+    alone = {"shared_trunk": False, "intention_gradient": 0.0, "td3_actor_delay": 1}
+    agent = new_agent(**MEMORY, **alone)
+    batch = stack([new_sequence(agent, seed) for seed in range(4)])
+    states = {**batch.initial_state, "trajectory": batch.initial_state["trajectory"] + np.float32(0.3)}
+    one, two = (after(data, **alone) for data in (batch, replace(batch, initial_state=states)))
+    assert equal(part(one, "trunks.intention"), part(two, "trunks.intention"))
+    assert not equal(part(one, "trunks.trajectory"), part(two, "trunks.trajectory"))
 
 
-def test_actors_never_change_the_trunk(make_sequence: MakeSequence, stack: Stack, after: Any) -> None:
-    batch = stack([make_sequence(seed) for seed in range(4)])
-    with_actors = after(batch, updates=1, actor_delay=1)["levels"]
-    without = after(batch, updates=1, actor_delay=9)["levels"]
+def test_each_level_learns_from_its_own_reward(
+    new_agent: NewAgent, new_sequence: NewSequence, stack: Stack, after: After
+) -> None:
+    agent = new_agent(**MEMORY, shared_trunk=False)
+    batch = stack([new_sequence(agent, seed) for seed in range(4)])
+    other = replace(batch, rewards={**batch.rewards, "intention": batch.rewards["intention"] + 30})
+    # A norm that nothing reaches: all critics share one, so one's gradients would scale the other's.
+    one, two = (after(each, updates=1, shared_trunk=False, gradient_norm=1e9) for each in (batch, other))
+    mine, yours = ("trunks.trajectory", "levels.trajectory"), ("trunks.intention", "levels.intention")
+    assert equal(part(one, *mine), part(two, *mine))
+    assert not equal(part(one, *yours), part(two, *yours))
+
+
+def test_actors_never_change_the_trunk(remembering: NewSequence, stack: Stack, after: After) -> None:
+    batch = stack([remembering(seed) for seed in range(4)])
+    with_actors = after(batch, updates=1, td3_actor_delay=1)
+    without = after(batch, updates=1, td3_actor_delay=9)
+    assert equal(part(with_actors, "trunks", "target_trunks"), part(without, "trunks", "target_trunks"))
+    assert equal(with_actors["critic_optimiser"], without["critic_optimiser"])
     for level in ("intention", "trajectory"):
-        assert equal(
-            with_actors[level]["target"]["trunk.lstm.weight_hh_l0"],
-            without[level]["target"]["trunk.lstm.weight_hh_l0"],
-        )
-        assert equal(with_actors[level]["critic_optimiser"], without[level]["critic_optimiser"])
-        assert not equal(with_actors[level]["actor_optimiser"], without[level]["actor_optimiser"])
+        place = f"levels.{level}.online.actor"
+        assert not equal(part(with_actors, place), part(without, place))
 
 
-def test_a_saturated_actor_comes_back(
-    make_agent: MakeAgent, make_sequence: MakeSequence, stack: Stack
-) -> None:
-    batch = stack([make_sequence(seed) for seed in range(4)])
-
+def test_saturated_actor_comes_back(new_agent: NewAgent, new_sequence: NewSequence, stack: Stack) -> None:
     def saturated_after_training(penalty: float) -> float:
-        agent = make_agent(saturation_penalty=penalty, actor_delay=1, learning_rate=3e-2)
+        agent = new_agent(**MEMORY, saturation_penalty=penalty, td3_actor_delay=1, learning_rate=3e-2)
         with torch.no_grad():
-            for level in (agent._high, agent._mid):
-                level.online.actor.layers[-1].bias.fill_(12.0)  # there the tanh's gradient is 0 in float32
-        return [agent.update(batch)["trajectory/saturated"] for _ in range(60)][-1]
+            for level in agent.state.levels:
+                level.online.actor.layers.last.bias.fill_(12.0)  # its tanh's gradient is 0 in float32
+        batch = stack([new_sequence(agent, seed) for seed in range(4)])
+        return float([agent.update(batch)[0]["trajectory/saturated"] for _ in range(60)][-1])
 
     assert saturated_after_training(0.0) == 1
     assert saturated_after_training(0.02) < 0.5
 
 
-def test_the_papers_own_recipe_trains(
-    make_agent: MakeAgent, make_sequence: MakeSequence, stack: Stack
+def test_average_that_forgets_everything_is_the_newest(remembering: NewSequence, new_agent: NewAgent) -> None:
+    agent = new_agent("ddpg", average_decay=0.0, td3_actor_delay=1)
+    with torch.no_grad():
+        agent.state.levels[0].online.actor.layers.last.bias.fill_(1.0)
+    agent.state.follow()
+    for level in agent.state.levels:
+        assert equal(level.averaged.state_dict(), level.online.actor.state_dict())
+
+
+def test_step_sizes_fall_with_the_run(remembering: NewSequence, stack: Stack, new_agent: NewAgent) -> None:
+    batch = stack([remembering(seed) for seed in range(4)])
+    moved = []
+    for progress in (0.0, 0.5, 1.0):
+        agent = new_agent(**MEMORY, learning_rate=1e-2, final_learning_rate=0.1)
+        before = part(agent.state_dict(), "trunks.intention.dense.0.weight")[0].clone()
+        agent.update(batch, progress)
+        moved.append(
+            float((part(agent.state_dict(), "trunks.intention.dense.0.weight")[0] - before).abs().mean())
+        )
+    assert moved[1] == pytest.approx(0.55 * moved[0], rel=1e-2)
+    assert moved[2] == pytest.approx(0.1 * moved[0], rel=1e-2)
+
+
+@pytest.mark.parametrize("critic", ["scalar", "distributional"])
+def test_loss_that_is_no_number_changes_no_network(
+    new_agent: NewAgent, remembering: NewSequence, stack: Stack, critic: str
 ) -> None:
-    agent = make_agent(
-        twin_critics=False,
-        actor_delay=1,
-        target_noise=0.0,
-        saturation_penalty=0.0,
-        reward_scale=1.0,
-        average_decay=0.0,
-        burn_in=0,
-    )
-    metrics = agent.update(stack([make_sequence(seed) for seed in range(4)]))
-    assert all(np.isfinite(value) for value in metrics.values())
-    for level in (agent._high, agent._mid):  # an average that forgets everything is the newest
-        assert equal(level.averaged_actor.state_dict(), level.online.actor.state_dict())
+    agent = new_agent(**MEMORY, critic=critic)
+    before = [tensor.clone() for tensor in agent.state_dict()["networks"].values()]
+    batch = stack([remembering(seed) for seed in range(2)])
+    batch.rewards["trajectory"][0, 0] = np.nan
+    with pytest.raises(TrainingDiverged, match="the loss of update 1 is"):
+        agent.update(batch)
+    assert equal(before, list(agent.state_dict()["networks"].values()))
+    assert agent.updates == 0
 
 
-def test_resumed_training_is_the_same_bit_for_bit(
-    make_agent: MakeAgent, make_sequence: MakeSequence, stack: Stack
-) -> None:
-    batches = [stack([make_sequence(10 * number + row) for row in range(3)]) for number in range(6)]
-    straight, first, second = make_agent(seed=1), make_agent(seed=1), make_agent(seed=2)
-    for batch in batches:
-        straight.update(batch)
-    for batch in batches[:3]:
-        first.update(batch)
-    file = io.BytesIO()
-    torch.save(first.state_dict(), file)
-    file.seek(0)
-    second.load_state_dict(torch.load(file, weights_only=True))
-    for batch in batches[3:]:
-        second.update(batch)
-    assert second.updates == straight.updates == 6
-    assert equal(second.state_dict(), straight.state_dict())
-    assert PolicyExporter(second).artefact() == PolicyExporter(straight).artefact()
-
-
-def test_a_state_of_another_size_is_refused(make_agent: MakeAgent) -> None:
-    with pytest.raises(RuntimeError, match="size mismatch"):
-        make_agent(hidden_features=16).load_state_dict(make_agent().state_dict())
-
-
-def test_a_state_of_another_planner_is_refused(make_agent: MakeAgent) -> None:
-    state = {**make_agent().state_dict(), "kind": "h-dqn"}
-    with pytest.raises(ValueError, match="h-dqn"):
-        make_agent().load_state_dict(state)
-
-
-def test_the_callers_random_numbers_are_left_alone(make_agent: MakeAgent) -> None:
+def test_callers_random_numbers_are_left_alone(new_agent: NewAgent) -> None:
     torch.manual_seed(5)
     expected = torch.rand(1)
     torch.manual_seed(5)
-    make_agent()
+    new_agent()
     assert torch.equal(torch.rand(1), expected)
 
 
-def test_state_of_another_kind_of_device_goes_on_with_noise_of_its_own(
-    make_sequence: MakeSequence, stack: Stack, make_agent: MakeAgent
-) -> None:
-    batch = stack([make_sequence(seed) for seed in range(3)])
-    agent = make_agent()
-    agent.update(batch)
-    state = {**agent.state_dict(), "noise": torch.zeros(16, dtype=torch.uint8)}  # as a GPU's generator has it
-    first, second = make_agent(), make_agent()
-    for successor in (first, second):
-        successor.load_state_dict(state)
-        successor.update(batch)
-    assert first.updates == 2
-    assert equal(first.state_dict(), second.state_dict())
-    assert not equal(first.state_dict()["noise"], make_agent().state_dict()["noise"])
+def test_equal_seeds_give_equal_agents(new_agent: NewAgent) -> None:
+    for kind in ("athrl", "hdqn"):
+        one, other, third = (new_agent(kind, seed=seed) for seed in (3, 3, 4))
+        assert equal(one.state_dict(), other.state_dict())
+        assert not equal(one.state_dict()["networks"], third.state_dict()["networks"])

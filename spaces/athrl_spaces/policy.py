@@ -82,6 +82,12 @@ class PolicyDescription:
         missing = [entry for entry in self.kind.entries if entry not in self.entries]
         if missing:
             raise ValueError(f"no level decides {missing[0]}, which actions of kind {self.action_kind} need")
+        for (_, _, action), wanted in zip(self._places, self._taken, strict=True):
+            if _form(action) != _form(wanted):
+                raise ValueError(
+                    f"{action.name} is {_form(action)}; actions of kind {self.action_kind} need "
+                    f"{_form(wanted)}"
+                )
 
     @property
     def kind(self) -> ActionKind:
@@ -103,19 +109,25 @@ class PolicyDescription:
         }
         return [found[entry] for entry in self.kind.entries]
 
+    @cached_property
+    def _taken(self) -> tuple[Action, Action]:
+        """What the environment has for those entries."""
+        return self.kind.describe(self.limits)
+
     def environment_action(self, actions: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float32]:
         """What the environment takes of a decision, float32 [batch, 2].
 
-        A continuous entry is normalised to [-1, 1], a choice is its index.
+        A continuous entry is normalised to [-1, 1] by the range that the environment has for it, a choice is
+        its index.
 
         Args:
             actions: of each level float32 [batch, n], physical units.
         """
         columns = []
-        for level, column, action in self._places:
+        for (level, column, _), taken in zip(self._places, self._taken, strict=True):
             value = actions[level][:, column]
-            if isinstance(action, Continuous):
-                value = np.clip((value - action.centre) / action.half_range, -1.0, 1.0)
+            if isinstance(taken, Continuous):
+                value = np.clip((value - taken.centre) / taken.half_range, -1.0, 1.0)
             columns.append(value)
         return np.stack(columns, axis=1).astype(np.float32)
 
@@ -161,6 +173,11 @@ class PolicyDescription:
             raise
         except (ValueError, TypeError) as error:
             raise InvalidDescription(f"its metadata: {error}") from None
+
+
+def _form(action: Action) -> str:
+    """What an action is, for messages."""
+    return "a number" if isinstance(action, Continuous) else f"a choice of {len(action.choices)}"
 
 
 def _refuse_repeats(what: str, names: list[str]) -> None:
@@ -240,7 +257,7 @@ def _action(level: str, entry: Any) -> Action:
         name=_take(entry, "name", str),
         choices=choices,
         exploration=Epsilon(_number(exploration, "low"), _number(exploration, "high")),
-        mirrored=tuple(_whole(value) for value in entry.get("mirrored") or ()),
+        mirrored=tuple(_whole(value) for value in _take(entry, "mirrored", list)),
     )
 
 

@@ -28,8 +28,11 @@ class Adam:
         self._state = [_fresh(parameter) for parameter in self._parameters]
 
     @torch.no_grad()
-    def step(self) -> None:
-        """Apply the gradients that there are, and drop them."""
+    def step(self, learning_rate: float | Tensor | None = None) -> None:
+        """Apply the gradients that there are, and drop them; with another step size than usual if given.
+
+        As a tensor, float [], it is read when the kernel runs: what is recorded follows it.
+        """
         moving = [
             (parameter, parameter.grad, state)
             for parameter, state in zip(self._parameters, self._state, strict=True)
@@ -46,7 +49,7 @@ class Adam:
             amsgrad=False,
             beta1=_BETAS[0],
             beta2=_BETAS[1],
-            lr=self._learning_rate,
+            lr=self._learning_rate if learning_rate is None else learning_rate,
             weight_decay=0.0,
             eps=_EPSILON,
             maximize=False,
@@ -59,17 +62,25 @@ class Adam:
         return {"state": {place: dict(state) for place, state in enumerate(self._state)}}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from a state of this class or of `torch.optim.Adam`, which has none before its first step.
+        """Continue from a state of this class or of `torch.optim.Adam`, which has none before its first step.
 
         Raises:
             ValueError: it is of other parameters.
         """
-        moments = state["state"] or dict(enumerate(map(_fresh, self._parameters)))
+        self.require_fitting(state)
+        moments = self._moments(state)
+        for place, (parameter, own) in enumerate(zip(self._parameters, self._state, strict=True)):
+            for name in _MOMENTS:
+                own[name] = moments[place][name].detach().clone().to(parameter.device)
+
+    def require_fitting(self, state: Mapping[str, Any]) -> None:
+        """Look at a state without taking it; raises ValueError if it is of other parameters."""
+        moments = self._moments(state)
         if set(moments) != set(range(len(self._parameters))):
             raise ValueError(
                 f"the optimiser's state is of {len(moments)} parameters, not {len(self._parameters)}"
             )
-        for place, (parameter, own) in enumerate(zip(self._parameters, self._state, strict=True)):
+        for place, own in enumerate(self._state):
             for name in _MOMENTS:
                 shape = own[name].shape
                 if moments[place][name].shape != shape:
@@ -77,7 +88,10 @@ class Adam:
                         f"the optimiser's {name} of parameter {place} has shape "
                         f"{list(moments[place][name].shape)}; it should be {list(shape)}"
                     )
-                own[name] = moments[place][name].detach().clone().to(parameter.device)
+
+    def _moments(self, state: Mapping[str, Any]) -> Mapping[int, Mapping[str, Tensor]]:
+        """What a state has for each parameter's place."""
+        return state["state"] or dict(enumerate(map(_fresh, self._parameters)))
 
 
 def _fresh(parameter: Tensor) -> dict[str, Tensor]:

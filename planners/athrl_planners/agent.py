@@ -1,0 +1,193 @@
+"""An agent: a planner under training. All planners learn here; they differ in what they say of themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from athrl_spaces import Limits, Observation, PolicyDescription
+from torch import Tensor, nn
+
+from athrl_planners.captured import CapturedUpdate
+from athrl_planners.diverged import TrainingDiverged
+from athrl_planners.losses import actor_loss, critic_loss
+from athrl_planners.planner import Planner
+from athrl_planners.policy import PolicyNetwork, PolicyOutput
+from athrl_planners.precision import autocast
+from athrl_planners.replay import Batch
+from athrl_planners.settings import PlannerSettings
+from athrl_planners.training_batch import BatchPreparation, TrainingBatch
+from athrl_planners.training_state import TrainingState
+from athrl_planners.updates.adam import Adam
+
+
+class Agent:
+    """Decides with the averaged networks, and trains on batches of the replay.
+
+    Args:
+        planner: what kind it is.
+        settings: its settings.
+        observation: what it sees.
+        limits: what environments make of its decisions.
+        seed: equal seeds give equal networks and equal training.
+        device: where it trains.
+        burn_in: first decisions of a sequence that only warm the recurrent states.
+        precision: of the networks' sums in updates; what is published is float32 either way.
+
+    Attributes:
+        state: all that training changes.
+        description: what the policy says of itself.
+        policy: the network that is published; it shares the averaged weights.
+        prepare: turns what the replay samples into tensors.
+    """
+
+    def __init__(
+        self,
+        planner: type[Planner],
+        settings: PlannerSettings,
+        observation: Observation,
+        limits: Limits,
+        seed: int,
+        device: str | torch.device = "cpu",
+        *,
+        burn_in: int = 0,
+        precision: torch.dtype = torch.float32,
+    ) -> None:
+        self.settings, self.precision = settings, precision
+        self.device = torch.device(device)
+        self.state = state = TrainingState(planner, settings, observation, limits, seed, self.device)
+        trunk_state = {level.name: state.trunk_state_size(level.name) for level in state.levels}
+        self.description = PolicyDescription(
+            planner=planner.kind,
+            action_kind=planner.action_kind,
+            limits=limits,
+            observation=observation,
+            levels=tuple(level.describe(trunk_state[level.name]) for level in state.levels),
+        )
+        self.policy = PolicyNetwork(state)
+        self.prepare = BatchPreparation(
+            settings, state.levels, burn_in, trunk_state, self.device, state.mirroring
+        )
+        self._captured = self._capture()
+
+    @property
+    def kind(self) -> str:
+        """Of the planner."""
+        return self.state.kind
+
+    @property
+    def updates(self) -> int:
+        """Updates so far."""
+        return self.state.updates
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether it is trained on whole sequences."""
+        return self.settings.memory != "none"
+
+    @torch.no_grad()
+    def act(
+        self,
+        images: np.ndarray,
+        motion: np.ndarray,
+        states: Mapping[str, np.ndarray],
+        noise: Mapping[str, np.ndarray] | None = None,
+        forced: Mapping[str, np.ndarray] | None = None,
+    ) -> PolicyOutput[np.ndarray]:
+        """Decide for a batch, as the artefact does; shapes as in `PolicyNetwork.forward`."""
+
+        def tensors(arrays: Mapping[str, np.ndarray] | None) -> dict[str, Tensor]:
+            return {name: self._tensor(value) for name, value in (arrays or {}).items()}
+
+        output = self.policy(
+            self._tensor(images), self._tensor(motion), tensors(states), tensors(noise), tensors(forced)
+        )
+        return PolicyOutput(
+            actions={name: value.cpu().numpy() for name, value in output.actions.items()},
+            states={name: value.cpu().numpy() for name, value in output.states.items()},
+        )
+
+    def update(self, batch: Batch, progress: float = 0.0) -> tuple[dict[str, Tensor], Tensor]:
+        """Train all levels on a batch.
+
+        Args:
+            batch: of the replay.
+            progress: share of the run that is over, 0 to 1; the step sizes fall with it.
+
+        Returns:
+            Metrics, each a tensor of one number that nobody has waited for, and the largest absolute error in
+            each piece of the batch, float32 [pieces].
+
+        Raises:
+            TrainingDiverged: a loss is not finite; this batch has changed nothing.
+        """
+        return self.update_prepared(self.prepare(batch), progress)
+
+    def update_prepared(self, data: TrainingBatch, progress: float = 0.0) -> tuple[dict[str, Tensor], Tensor]:
+        """`update` with what `prepare` returned."""
+        rate = self.settings.learning_rate * (1 - (1 - self.settings.final_learning_rate) * progress)
+        with_actors = self._actors_are_due(self.updates + 1)
+        if self._captured is not None and self._captured.takes(data):
+            results = self._captured(data, rate, with_actors)
+        else:
+            results = self._compute(data, rate, with_actors)
+        self.state.updates += 1
+        return results
+
+    def _compute(
+        self, data: TrainingBatch, rate: float | Tensor, with_actors: bool
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        """An update without its counter; on a GPU it waits for nothing, so that it can be recorded."""
+        state = self.state
+        with autocast(self.device, self.precision):
+            critics = critic_loss(state, data)
+        self._require_finite(critics.loss)
+        critics.loss.backward()
+        metrics = critics.metrics
+        metrics["critic_gradient"] = self._step(state.critic_optimiser, state.critic_parameters, rate)
+        if with_actors:
+            with autocast(self.device, self.precision):
+                loss, more = actor_loss(state, data, critics.contexts)
+            gradients = torch.autograd.grad(loss, state.actor_parameters)
+            for parameter, gradient in zip(state.actor_parameters, gradients, strict=True):
+                parameter.grad = gradient
+            metrics |= more
+            metrics["actor_gradient"] = self._step(state.actor_optimiser, state.actor_parameters, rate)
+        state.follow()
+        return metrics, critics.errors
+
+    def _actors_are_due(self, update: int) -> bool:
+        delay = max(level.rule.actor_delay for level in self.state.levels)
+        return delay > 0 and update % delay == 0
+
+    def _capture(self) -> CapturedUpdate | None:
+        """Recorded updates, where they are worth it."""
+        if self.device.type != "cuda":
+            return None
+        parameters = [*self.state.critic_parameters, *self.state.actor_parameters]
+        return CapturedUpdate(self._compute, parameters, self.state.random, self.device)
+
+    def _step(self, optimiser: Adam, parameters: list[Tensor], rate: float | Tensor) -> Tensor:
+        """Apply gradients, clipped; returns their norm before that."""
+        norm = nn.utils.clip_grad_norm_(parameters, self.settings.gradient_norm)
+        optimiser.step(rate)
+        return norm.detach()
+
+    def _require_finite(self, loss: Tensor) -> None:
+        """On a CPU looking at the loss costs nothing; on a GPU the trainer looks when it reports."""
+        if self.device.type == "cpu" and not torch.isfinite(loss):
+            raise TrainingDiverged(f"the loss of update {self.updates + 1} is {float(loss.detach()):g}")
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.as_tensor(values, device=self.device)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See `TrainingState.state_dict`."""
+        return self.state.state_dict()
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See `TrainingState.load_state_dict`."""
+        self.state.load_state_dict(state)
+        self._captured = self._capture()  # what was recorded before has other optimisers' memory in it

@@ -1,0 +1,83 @@
+"""atHRL: an intention planner over a trajectory planner over PID controllers (the paper).
+
+The intention planner decides I in [0, 2]: left, straight on, right, and everything between. The trajectory
+planner sees I and decides target speed and waypoint. Both learn off-policy from the same experience. With s
+what a level sees and remembers, r its reward, Q' and pi' its target networks:
+
+    critics      Q_h(s, I)     ->  r_h + discount * Q_h'(s', pi_h'(s'))
+                 Q_l(s, I, a)  ->  r_l + discount * Q_l'(s', I', pi_l'(s', I')),   I' = pi_h'(s')
+    trajectory   maximise  Q_l(s, I, pi_l(s, I))
+    intention    maximise  Q_h(s, pi_h(s)) + intention_gradient * Q_l(s, pi_h(s), pi_l(s, pi_h(s)))
+
+The last line is how the high level back-propagates both levels' errors (paper, "Hierarchical Off-Policy
+Actor-Critic"). `agent.py` computes these for any planner of levels; this module says which levels there are.
+README.md beside it lists the deviations from the paper and the settings that undo them.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from athrl_spaces import WAYPOINT, Continuous, Limits, Noise
+from pydantic import Field
+
+from athrl_planners.planner import LevelPlan, Planner
+from athrl_planners.settings import ActorCriticSettings
+
+
+class AtHRLSettings(ActorCriticSettings):
+    """atHRL: the intention planner over the trajectory planner."""
+
+    intention_gradient: float = Field(
+        default=1.0,
+        ge=0,
+        le=100,
+        description="Weight of the trajectory critic's gradient through the intention.",
+    )
+    intention_noise: float = Field(
+        default=0.2, ge=0, le=2, description="Deviation of the noise on the intention, half-ranges."
+    )
+    intention_every: int = Field(
+        default=1,
+        ge=1,
+        le=100,
+        description="The intention planner decides every so many decisions and holds its intention between.",
+    )
+    intention_view: Literal["everything", "far route"] = Field(
+        default="everything",
+        description="What the intention planner sees; far route: the drivable map and the route alone.",
+    )
+    trajectory_view: Literal["everything", "near route"] = Field(
+        default="everything",
+        description="What the trajectory planner sees; near route: the route only up to a few metres ahead, "
+        "so that a branch has to come from the intention.",
+    )
+
+
+class AtHRL(Planner):
+    """The paper's hierarchy."""
+
+    kind = "athrl"
+    summary = "intention planner over trajectory planner over PID (the paper)"
+    settings = AtHRLSettings
+    action_kind: ClassVar[str] = WAYPOINT
+
+    @classmethod
+    def levels(cls, settings: AtHRLSettings, limits: Limits) -> tuple[LevelPlan, ...]:
+        """The intention planner over the trajectory planner."""
+        noise = settings.noise
+        if isinstance(noise, Noise):
+            noise = Noise(settings.intention_noise, settings.intention_noise, settings.noise_damping)
+        intention = Continuous("intention", "", 0.0, 2.0, noise, sideways=True)
+        trajectory = cls.actions(limits, settings.noise)
+        return (
+            LevelPlan(
+                "intention",
+                (intention,),
+                settings.update_rule,
+                every=settings.intention_every,
+                view=settings.intention_view,
+                gradient_from_below=settings.intention_gradient,
+            ),
+            LevelPlan("trajectory", trajectory, settings.update_rule, view=settings.trajectory_view),
+        )

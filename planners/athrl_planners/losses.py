@@ -1,0 +1,168 @@
+"""What an update minimises: the critics' loss and the actors' loss of all levels of a planner.
+
+For levels from the highest down, with s what a level's trunk makes of what is seen, `above` what the levels
+above have decided, and Q', pi' the target networks:
+
+    target     y = r + discount^n * Q'(s', above', pi'(s', above'))        n steps later
+    critics    least loss of Q(s, above, a) against y; the trunk learns from this alone
+    actors     most of Q(s, above, pi(s, above)), and, for a level with `gradient_from_below`, of the next
+               level's Q(s, pi(s), pi_below(s, pi(s))) as well (paper, "Hierarchical Off-Policy Actor-Critic")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from athrl_planners.level import Level
+from athrl_planners.training_batch import TrainingBatch
+from athrl_planners.training_state import TrainingState
+from athrl_planners.updates import LevelNetworks
+
+Contexts = Mapping[str, Tensor]
+"""By the trunk's name: [n, context], or [horizons, n, context]."""
+
+
+class CriticLoss(NamedTuple):
+    """The critics' loss, and what actors and the replay need of it."""
+
+    loss: Tensor
+    """float32 []"""
+    contexts: dict[str, Tensor]
+    """By the trunk's name float32 [n, context], without gradient."""
+    errors: Tensor
+    """float32 [pieces], the largest absolute error of each piece of the batch."""
+    metrics: dict[str, Tensor]
+    """float32 [] each."""
+
+
+def critic_loss(state: TrainingState, data: TrainingBatch) -> CriticLoss:
+    """The loss of all critics."""
+    targets = _targets(state, data)
+    contexts = {name: data.frames.now(trunk, data.states.get(name)) for name, trunk in state.online_trunks}
+    loss: Tensor = torch.zeros((), device=data.rows.device)
+    errors = torch.zeros(data.pieces, device=data.rows.device)
+    metrics: dict[str, Tensor] = {}
+    above: list[Tensor] = []
+    for level in state.levels:
+        context, part, target = (
+            contexts[state.trunk_of(level.name)],
+            data.levels[level.name],
+            targets[level.name],
+        )
+        seen = joined(above, context)
+        outputs = [level.rule.value_of(critic, context, seen, part.taken) for critic in level.online.critics]
+        level_loss = (
+            torch.stack([state.values.loss(output, target) for output in outputs]).sum(0) @ part.weights
+        )
+        loss = loss + level_loss
+        value = state.values.mean(outputs[0].detach())
+        error = (value - state.values.target_mean(target)).abs()
+        errors.scatter_reduce_(0, data.rows, error, "amax")
+        metrics[f"{level.name}/critic_loss"] = level_loss.detach()
+        metrics[f"{level.name}/value"] = value @ part.weights
+        metrics[f"{level.name}/td_error"] = error @ part.weights
+        above.append(part.taken)
+    detached = {name: context.detach().float() for name, context in contexts.items()}
+    return CriticLoss(loss, detached, errors, metrics)
+
+
+def actor_loss(
+    state: TrainingState, data: TrainingBatch, contexts: Contexts
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss of all actors, for contexts without gradient; and metrics, float32 [] each."""
+    loss: Tensor = torch.zeros((), device=data.rows.device)
+    metrics: dict[str, Tensor] = {}
+    above: list[Tensor] = []
+    for number, level in enumerate(state.levels):
+        part, context = data.levels[level.name], contexts[state.trunk_of(level.name)]
+        if level.online.actor is not None:
+            objective = level.rule.objective(level.online, context, joined(above, context))
+            gain = objective.gain
+            if level.plan.gradient_from_below:
+                below = state.levels[number + 1]
+                below_context = contexts[state.trunk_of(below.name)]
+                seen = joined([*above, objective.action], context)
+                with _constant(below.online):  # it climbs its own value alone
+                    joint = below.rule.objective(below.online, below_context, seen, penalised=False).gain
+                gain = gain + level.plan.gradient_from_below * joint
+            level_loss = -(gain @ part.weights)
+            loss = loss + level_loss
+            metrics[f"{level.name}/actor_loss"] = level_loss.detach()
+            metrics[f"{level.name}/saturated"] = (objective.raw.detach().abs() > 2).float().mean()
+        above.append(part.taken)
+    return loss, metrics
+
+
+@torch.no_grad()
+def _targets(state: TrainingState, data: TrainingBatch) -> dict[str, Tensor]:
+    """Per level, what its critics are to say of the decisions that were taken."""
+    target = {
+        name: data.frames.following(trunk, data.states.get(name)) for name, trunk in state.target_trunks
+    }
+    online = target
+    if any(level.rule.needs_online_following for level in state.levels):
+        online = {
+            name: data.frames.following(trunk, data.states.get(name)) for name, trunk in state.online_trunks
+        }
+    followers = {
+        horizon: _Following(state, data, horizon, target, online)
+        for horizon in {part.horizon for part in data.levels.values()}
+    }
+    return {level.name: followers[data.levels[level.name].horizon].target(level) for level in state.levels}
+
+
+class _Following:
+    """What the target networks say at one horizon, level by level."""
+
+    def __init__(
+        self, state: TrainingState, data: TrainingBatch, horizon: int, target: Contexts, online: Contexts
+    ) -> None:
+        self._state, self._data, self._horizon = state, data, horizon
+        self._target, self._online = target, online
+        self._outputs: dict[str, tuple[Tensor, Tensor | None]] = {}
+        above: list[Tensor] = []
+        for level in state.levels:
+            above.append(self._decide(level, above))
+
+    def _decide(self, level: Level, above: list[Tensor]) -> Tensor:
+        """Look up what a level decides, or holds, and what that is worth: the decision [n, encoded]."""
+        name, part = self._state.trunk_of(level.name), self._data.levels[level.name]
+        contexts = (self._target[name][self._horizon], self._online[name][self._horizon])
+        seen = joined(above, contexts[0])
+        step = level.rule.following(level.target, level.online, contexts, seen)
+        action, output = step.action, step.output
+        if part.held is not None and part.in_force is not None:
+            held, in_force = part.held[self._horizon].unsqueeze(1), part.in_force[self._horizon]
+            action = torch.where(held, in_force, action)
+            output = torch.where(held, level.rule.counts(level.target, contexts[0], seen, in_force), output)
+        self._outputs[level.name] = (output, step.bonus)
+        return action
+
+    def target(self, level: Level) -> Tensor:
+        """What the level's critics are to say."""
+        part = self._data.levels[level.name]
+        output, bonus = self._outputs[level.name]
+        reward = part.reward if bonus is None else part.reward + part.discount * bonus
+        return self._state.values.target(reward, part.discount, output)
+
+
+@contextmanager
+def _constant(networks: LevelNetworks) -> Iterator[None]:
+    """What is computed within has no gradient for the networks' weights."""
+    networks.requires_grad_(False)
+    try:
+        yield
+    finally:
+        networks.requires_grad_(True)
+
+
+def joined(above: list[Tensor], context: Tensor) -> Tensor:
+    """What the levels above have decided, side by side: [n, above], perhaps of no columns."""
+    if not above:
+        return context.new_zeros((len(context), 0))
+    return above[0] if len(above) == 1 else torch.cat(above, dim=1)

@@ -1,0 +1,72 @@
+"""From a planner's name and settings to an agent and its replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from athrl_spaces import Limits, Observation
+
+from athrl_planners.agent import Agent
+from athrl_planners.registry import planner
+from athrl_planners.replay import SequenceReplay
+
+
+def make_agent(
+    kind: str,
+    values: Mapping[str, Any] | None = None,
+    *,
+    observation: Observation | None = None,
+    limits: Limits | None = None,
+    seed: int = 0,
+    device: str | torch.device = "cpu",
+    burn_in: int = 0,
+    precision: torch.dtype = torch.float32,
+) -> Agent:
+    """A fresh agent of a kind of planner.
+
+    Args:
+        kind: of the planner.
+        values: settings that are not the defaults.
+        observation: what it sees; by default images of 32 x 32.
+        limits: what environments make of its decisions.
+        seed: of networks and noise.
+        device: where it trains.
+        burn_in: first decisions of a sequence that only warm the recurrent states.
+        precision: of updates.
+
+    Raises:
+        UnknownPlanner: there is no such kind.
+        pydantic.ValidationError: a setting is wrong.
+    """
+    found = planner(kind)
+    return Agent(
+        found,
+        found.read_settings(values or {}),
+        observation or Observation(32),
+        limits or Limits(),
+        seed,
+        device,
+        burn_in=burn_in,
+        precision=precision,
+    )
+
+
+def make_replay(
+    agent: Agent,
+    capacity: int,
+    sequence_length: int,
+    seed: int,
+    priority: tuple[float, float] | None = None,
+) -> SequenceReplay:
+    """An empty replay for an agent: of whole sequences where it has a memory, else of single decisions."""
+    return SequenceReplay(
+        capacity,
+        sequence_length,
+        agent.description.observation,
+        agent.description.levels,
+        seed,
+        horizons=() if agent.has_memory else agent.prepare.horizons,
+        priority=priority,
+    )

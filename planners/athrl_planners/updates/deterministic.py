@@ -1,0 +1,120 @@
+"""DDPG (Lillicrap et al. 2015) and TD3 (Fujimoto et al. 2018), which is DDPG with three changes.
+
+    target      r + discount * min_i Q_i'(s', pi'(s') + clipped noise)
+    actor       maximise  Q_1(s, pi(s)) - saturation_penalty * |output before the tanh|^2
+
+DDPG has one critic, no noise on target actions and no delay of its actors. The penalty is ours: without it
+the tanh sticks at its ends within some hundred updates.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from athrl_spaces import Continuous
+from torch import Tensor, nn
+
+from athrl_planners.networks.heads import Actor, Critic
+from athrl_planners.planner import LevelPlan
+from athrl_planners.updates.rule import LevelNetworks, Objective, Step, UpdateRule, centre_and_half_range
+from athrl_planners.updates.values import Values
+
+NOISE_CLIP = 2.5
+"""Deviations at which the noise on target actions is cut; TD3's 0.5 at its noise of 0.2."""
+
+
+class ContinuousRule(UpdateRule):
+    """What rules for numbers have in common."""
+
+    centre: Tensor
+    half_range: Tensor
+
+    def __init__(
+        self,
+        plan: LevelPlan,
+        settings: Any,
+        values: Values,
+        sizes: tuple[int, int],
+        random: torch.Generator,
+    ) -> None:
+        super().__init__(plan, settings, values, sizes, random)
+        if not all(isinstance(action, Continuous) for action in plan.actions):
+            raise ValueError(f"level {plan.name} learns by {plan.update_rule} and decides a choice: use dqn")
+        self.encoded_size = len(plan.actions)
+        centre, half_range = centre_and_half_range(plan.actions)
+        self.register_buffer("centre", centre, persistent=False)
+        self.register_buffer("half_range", half_range, persistent=False)
+
+    stochastic = False
+
+    def make_networks(self) -> LevelNetworks:
+        """An actor and critics."""
+        inputs, hidden = self.context_size + self.above_size, self.settings.head_features
+        actor = Actor(inputs, hidden, self.encoded_size, self.stochastic)
+        return LevelNetworks(
+            actor,
+            [
+                Critic(inputs + self.encoded_size, hidden, self.values.outputs)
+                for _ in range(self.settings.critics)
+            ],
+        )
+
+    def encode(self, actions: Tensor) -> Tensor:
+        """Physical units -> [-1, 1]."""
+        return (actions - self.centre) / self.half_range
+
+    def decode(self, encoded: Tensor) -> Tensor:
+        """[-1, 1] -> physical units."""
+        return self.centre + self.half_range * encoded
+
+    def value_of(self, critic: nn.Module, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
+        """What a critic says about decisions: [n, outputs]."""
+        return critic(context, above, taken).float()
+
+
+class DeterministicRule(ContinuousRule):
+    """DDPG and TD3."""
+
+    def __init__(
+        self,
+        plan: LevelPlan,
+        settings: Any,
+        values: Values,
+        sizes: tuple[int, int],
+        random: torch.Generator,
+    ) -> None:
+        super().__init__(plan, settings, values, sizes, random)
+        smoothed = plan.update_rule == "td3"
+        self.actor_delay = settings.td3_actor_delay if smoothed else 1
+        self._target_noise = settings.td3_target_noise if smoothed else 0.0
+
+    def decide(self, deciding: nn.Module, context: Tensor, above: Tensor, noise: Tensor | None) -> Tensor:
+        """The actor's action with noise in physical units, within its range."""
+        action = self.decode(torch.tanh(deciding(context, above)))
+        if noise is not None:
+            action = action + noise
+        return self.decode(self.encode(action).clamp(-1, 1))
+
+    def following(
+        self, target: LevelNetworks, online: LevelNetworks, contexts: tuple[Tensor, Tensor], above: Tensor
+    ) -> Step:
+        """The target actor's action, with clipped noise in TD3, and what target critics say about it."""
+        assert target.actor is not None
+        context = contexts[0]
+        action = torch.tanh(target.actor(context, above).float())
+        if self._target_noise:
+            noise = self.normal_like(action).clamp(-NOISE_CLIP, NOISE_CLIP) * self._target_noise
+            action = (action + noise).clamp(-1, 1)
+        return Step(action, self.counts(target, context, above, action), None)
+
+    def objective(
+        self, networks: LevelNetworks, context: Tensor, above: Tensor, penalised: bool = True
+    ) -> Objective:
+        """The first critic's value of the actor's action, less the penalty on saturation."""
+        assert networks.actor is not None
+        raw = networks.actor(context, above).float()
+        action = torch.tanh(raw)
+        value = self.values.mean(self.value_of(networks.critics[0], context, above, action))
+        penalty = self.settings.saturation_penalty * raw.square().sum(dim=1) if penalised else 0.0
+        return Objective(value - penalty, action, raw)
