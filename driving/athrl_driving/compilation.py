@@ -10,13 +10,14 @@ import logging
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from athrl_spaces import action_kinds
 from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -44,6 +45,9 @@ LONGEST_COMPILATION = 600.0
 _FEW_FRILLS = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 
 _PACKAGE = Path(__file__).resolve().parent
+_CONSTANTS = Path(action_kinds.__file__).resolve()
+"""Whose constants are compiled into the towns' kernels."""
+
 _LOG = logging.getLogger(__name__)
 
 
@@ -170,10 +174,16 @@ def _fingerprint(family: str) -> str:
     machine = (get_host_cpu_name(), sys.implementation.cache_tag, numba.__version__)
     digest = hashlib.sha256(repr(machine).encode())
     for pattern in _COMMON + _KERNEL_FILES[family]:
-        for path in sorted(_PACKAGE.glob(pattern)):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
+        _add_files(digest, _PACKAGE.glob(pattern))
+    if family == "town":
+        _add_files(digest, [_CONSTANTS])
     return digest.hexdigest()[:16]
+
+
+def _add_files(digest: "hashlib._Hash", paths: Iterable[Path]) -> None:
+    for path in sorted(paths):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
 
 
 def _is_writable(folder: Path) -> bool:

@@ -40,10 +40,11 @@ class Scene:
     vehicles: tuple[VehiclePose, ...]
     route: NDArray[np.float64]
     """[12, 2] the next waypoints of the route, m."""
-    waypoint: NDArray[np.float64]
-    """[2] the planner's waypoint, m; the ego's own place before the first decision."""
+    waypoint: NDArray[np.float64] | None
+    """[2] the planner's waypoint, m, the ego's own place before the first decision; None where the planner
+    decides acceleration and steering."""
     target_speed: float
-    """m/s"""
+    """m/s; NaN where the planner decides acceleration and steering."""
     steering: float
     """Angle of the front wheels, rad, positive to the right."""
     acceleration: float

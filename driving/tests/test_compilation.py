@@ -42,6 +42,17 @@ def test_changed_kernels_get_another_folder(tmp_path: Path, monkeypatch: pytest.
     assert folder() != before
 
 
+def test_changed_constants_of_actions_get_another_folder_for_towns_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = compilation._fingerprint("town"), compilation._fingerprint("highway")
+    changed = tmp_path / "action_kinds.py"
+    changed.write_bytes(compilation._CONSTANTS.read_bytes() + b"MAXIMUM_STEERING = 0.4")
+    monkeypatch.setattr(compilation, "_CONSTANTS", changed)
+    assert compilation._fingerprint("town") != before[0]
+    assert compilation._fingerprint("highway") == before[1]
+
+
 _SMALL_KERNEL = """
 import sys, time
 import os
@@ -119,6 +130,22 @@ def known():
 """
 
 _FIRST_STEPS = {
+    "direct": """
+env = gymnasium.make("athrl/Town03-v0", config={"action": {"type": "DirectAction"}})
+before = known()
+env.reset(seed=0)
+for _ in range(3):
+    env.step(env.action_space.sample())
+    env.unwrapped.scene()
+""",
+    "towns": """
+from athrl_driving.policy import EnvironmentBatch
+batch = EnvironmentBatch(["town03", "town02"], {"vehicles_count": 5}, "waypoint-set", recorded=2)
+before = known()
+for row in range(2):
+    batch.reset(row, seed=row)
+batch.step([[2, 3], [1, 15]])
+""",
     "town": """
 env = gymnasium.make("athrl/Town03-v0")
 driver = athrl_driving.make_driver("rule-based")

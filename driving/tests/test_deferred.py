@@ -27,7 +27,7 @@ def test_driving_in_a_town_loads_no_tables_plots_or_linear_algebra() -> None:
 def test_driving_a_batch_with_a_policys_runner_loads_no_tables_plots_or_linear_algebra() -> None:
     drives = (
         "from athrl_driving.policy import EnvironmentBatch\n"
-        "EnvironmentBatch('town03', {'vehicles_count': 3}, 2).close()\n"
+        "EnvironmentBatch(['town03'] * 2, {'vehicles_count': 3}).close()\n"
     )
     assert run(drives + TELL) == ["False", "False", "False"]
 

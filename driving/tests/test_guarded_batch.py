@@ -18,7 +18,7 @@ STRAIGHT_ON = np.zeros((2, 2), np.float32)
 
 @pytest.fixture
 def batch():
-    guarded = GuardedBatch("town03", CONFIG, 2, seconds=30)
+    guarded = GuardedBatch(["town03"] * 2, CONFIG, seconds=30)
     begin(guarded)
     yield guarded
     guarded.close()
@@ -30,7 +30,7 @@ def begin(batch: EnvironmentBatch | GuardedBatch) -> None:
 
 
 def test_guarded_environments_do_what_unguarded_ones_do(batch: GuardedBatch):
-    plain = EnvironmentBatch("town03", CONFIG, 2)
+    plain = EnvironmentBatch(["town03"] * 2, CONFIG)
     begin(plain)
     for _ in range(5):
         expected, outcome = plain.step(STRAIGHT_ON), batch.step(STRAIGHT_ON)
@@ -80,7 +80,7 @@ def test_own_timeout_of_an_environment_is_no_stall(batch: GuardedBatch, monkeypa
 
 def test_step_that_stalls_is_left_behind_and_changes_nothing_when_it_returns(monkeypatch):
     monkeypatch.setattr(guard, "GLANCE_SECONDS", 0.05)
-    batch = GuardedBatch("town03", CONFIG, 2, seconds=30)
+    batch = GuardedBatch(["town03"] * 2, CONFIG, seconds=30)
     begin(batch)
     batch.step(STRAIGHT_ON)
     go_on, returned = threading.Event(), threading.Event()
@@ -118,7 +118,7 @@ def test_first_call_may_take_as_long_as_compilation_does(monkeypatch):
         return step(self, actions, active)
 
     monkeypatch.setattr(EnvironmentBatch, "step", compile_first)
-    batch = GuardedBatch("town03", CONFIG, 2, seconds=30)
+    batch = GuardedBatch(["town03"] * 2, CONFIG, seconds=30)
     begin(batch)
     batch._seconds = 0.05
     batch.step(STRAIGHT_ON)

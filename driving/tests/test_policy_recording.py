@@ -10,7 +10,7 @@ ROOM = 4
 
 @pytest.fixture(params=[1, 8])
 def batch(request: pytest.FixtureRequest) -> EnvironmentBatch:
-    batch = EnvironmentBatch("town03", CONFIG, request.param, recorded=ROOM)
+    batch = EnvironmentBatch(["town03"] * request.param, CONFIG, recorded=ROOM)
     for row in range(len(batch)):
         batch.reset(row, seed=row)
     return batch
@@ -63,7 +63,7 @@ def test_what_finds_no_room_is_not_recorded_and_harms_nobody(batch: EnvironmentB
 
 
 def test_guarded_batch_records_too_and_a_new_one_anew(monkeypatch: pytest.MonkeyPatch):
-    guarded = GuardedBatch("town03", CONFIG, 2, seconds=60, recorded=ROOM)
+    guarded = GuardedBatch(["town03"] * 2, CONFIG, seconds=60, recorded=ROOM)
     try:
         before = guarded.recording
         assert before.images.shape == (2, ROOM + 1, 32, 32, 4)

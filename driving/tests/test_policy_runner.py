@@ -10,59 +10,97 @@ import onnx
 import onnx.parser
 import pytest
 from athrl_driving.policy import InvalidPolicy, OnnxPolicy
+from athrl_spaces import (
+    WAYPOINT,
+    WAYPOINT_SET,
+    Continuous,
+    LevelDescription,
+    Limits,
+    Noise,
+    Observation,
+    PolicyDescription,
+    action_kind,
+)
 
-METADATA = {
-    "schema_version": 1,
-    "planner": "test",
-    "observation": {"image": [8, 8, 4], "motion": ["speed_over_8", "steering_over_0.3"]},
-    "levels": [
-        {
-            "name": "intention",
-            "state_size": 3,
-            "actions": [
-                {"name": "intention", "unit": "", "low": 0, "high": 2}
-                | {"noise": "ornstein-uhlenbeck", "noise_scale": 0.2, "damping": 0.15}
-            ],
-        },
-        {
-            "name": "trajectory",
-            "state_size": 2,
-            "actions": [
-                {"name": "target_speed", "unit": "m/s", "low": 0, "high": 8}
-                | {"noise": "ornstein-uhlenbeck", "noise_scale": 0.2, "damping": 0.15},
-                {"name": "waypoint_angle", "unit": "rad", "low": -0.5, "high": 0.5}
-                | {"noise": "gaussian", "noise_scale": 0.1, "damping": 0},
-            ],
-        },
-    ],
-}
+DESCRIPTION = PolicyDescription(
+    planner="test",
+    action_kind=WAYPOINT,
+    limits=Limits(8.0, 8.0, 0.5),
+    observation=Observation(8),
+    levels=(
+        LevelDescription("intention", (Continuous("intention", "", 0, 2, Noise(0.2, 0.2)),), 3),
+        LevelDescription(
+            "trajectory",
+            (
+                Continuous("target_speed", "m/s", 0, 8, Noise(0.2, 0.2)),
+                Continuous("waypoint_angle", "rad", -0.5, 0.5, Noise(0.1, 0.1, 1.0), sideways=True),
+            ),
+            2,
+        ),
+    ),
+)
+METADATA = json.loads(DESCRIPTION.to_json())
 
 # The intention is 1 unless noise or force say otherwise, the target speed 2 + intention, the angle the mean
 # motion; the states count decisions, by ones and by twos.
 GRAPH = """
 <ir_version: 8, opset_import: ["" : 17]>
 policy (uint8[N,8,8,4] image, float[N,2] motion, float[N,3] intention_state, float[N,2] trajectory_state,
-        float[N,1] intention_noise, float[N,1] forced_intention)
+        float[N,1] intention_noise, float[N,1] forced_intention,
+        float[N,2] trajectory_noise, float[N,2] forced_trajectory)
     => (float[N,1] intention, float[N,2] trajectory,
         float[N,3] next_intention_state, float[N,2] next_trajectory_state)
 {
     one = Constant <value_float: float = 1.0> ()
     two = Constant <value_float: float = 2.0> ()
     nothing = Constant <value_float: float = 0.0> ()
+    lowest = Constant <value_floats: floats = [0.0, -0.5]> ()
+    highest = Constant <value_floats: floats = [8.0, 0.5]> ()
     pixels = Cast <to: int = 1> (image)
     bright = ReduceMean <axes: ints = [1, 2, 3], keepdims: int = 0> (pixels)
     row = Unsqueeze (bright, axis)
     unlit = Mul (row, nothing)
     plain = Add (unlit, one)
     noisy = Add (plain, intention_noise)
+    within = Clip (noisy, nothing, two)
     free = IsNaN (forced_intention)
-    chosen = Where (free, noisy, forced_intention)
-    intention = Clip (chosen, nothing, two)
+    intention = Where (free, within, forced_intention)
     speed = Add (intention, two)
     angle = ReduceMean <axes: ints = [1], keepdims: int = 1> (motion)
-    trajectory = Concat <axis: int = 1> (speed, angle)
+    decided = Concat <axis: int = 1> (speed, angle)
+    loud = Add (decided, trajectory_noise)
+    at_least = Max (loud, lowest)
+    bounded = Min (at_least, highest)
+    open = IsNaN (forced_trajectory)
+    trajectory = Where (open, bounded, forced_trajectory)
     next_intention_state = Add (intention_state, one)
     next_trajectory_state = Add (trajectory_state, two)
+}
+"""
+
+CHOICES = PolicyDescription(
+    planner="test",
+    action_kind=WAYPOINT_SET,
+    limits=Limits(),
+    observation=Observation(8),
+    levels=tuple(
+        LevelDescription(action.name, (action,)) for action in action_kind(WAYPOINT_SET).describe(Limits())
+    ),
+)
+
+# Without memory and noise: the behaviour is the first entry of motion, the waypoint five more than that.
+CHOICES_GRAPH = """
+<ir_version: 8, opset_import: ["" : 17]>
+policy (uint8[N,8,8,4] image, float[N,2] motion, float[N,1] forced_behaviour, float[N,1] forced_waypoint)
+    => (float[N,1] behaviour, float[N,1] waypoint)
+{
+    five = Constant <value_float: float = 5.0> ()
+    first, second = Split <axis: int = 1> (motion)
+    free = IsNaN (forced_behaviour)
+    behaviour = Where (free, first, forced_behaviour)
+    more = Add (behaviour, five)
+    open = IsNaN (forced_waypoint)
+    waypoint = Where (open, more, forced_waypoint)
 }
 """
 
@@ -76,12 +114,23 @@ def artefact(metadata: object = METADATA, graph: str = GRAPH) -> bytes:
     return model.SerializeToString()
 
 
+def choosing() -> OnnxPolicy:
+    return OnnxPolicy(artefact(json.loads(CHOICES.to_json()), CHOICES_GRAPH))
+
+
 def observe(batch: int) -> tuple[np.ndarray, np.ndarray]:
     return np.zeros((batch, 8, 8, 4), np.uint8), np.full((batch, 2), 0.25, np.float32)
 
 
 def changed(**changes: object) -> dict:
     return json.loads(json.dumps(METADATA)) | changes
+
+
+def without_memory() -> dict:
+    document = changed()
+    for level in document["levels"]:
+        level["state_size"] = 0
+    return document
 
 
 def test_recurrent_states_are_the_callers_and_are_carried_on():
@@ -113,17 +162,60 @@ def test_a_level_can_be_forced_in_one_environment_and_free_in_another():
     np.testing.assert_allclose(step.actions["trajectory"], [[7.0, -0.5], [4.0, 0.25]])
 
 
-def test_noise_of_the_acting_level_never_leaves_the_range():
+def test_noise_reaches_the_last_level_too():
     policy = OnnxPolicy(artefact())
-    noise = {"trajectory": np.array([[100.0, -100.0]], np.float32)}
-    step = policy.step(*observe(1), policy.initial_states(1), noise=noise)
-    np.testing.assert_allclose(step.actions["trajectory"], [[8.0, -0.5]])
+    noise = {"trajectory": np.array([[100.0, -100.0], [1.0, 0.125]], np.float32)}
+    step = policy.step(*observe(2), policy.initial_states(2), noise=noise)
+    np.testing.assert_allclose(step.actions["trajectory"], [[8.0, -0.5], [4.0, 0.375]])
 
 
-def test_physical_actions_become_the_environments_actions():
-    level = OnnxPolicy(artefact()).metadata.acting_level
-    physical = np.array([[0.0, -0.5], [4.0, 0.0], [8.0, 0.5]], np.float32)
-    np.testing.assert_allclose(level.normalised(physical), [[-1, -1], [0, 0], [1, 1]])
+def test_what_is_forced_beyond_a_range_is_its_bound():
+    policy = OnnxPolicy(artefact())
+    forced = {"trajectory": np.array([[99.0, np.nan]], np.float32)}
+    step = policy.step(*observe(1), policy.initial_states(1), forced=forced)
+    np.testing.assert_allclose(step.actions["trajectory"], [[8.0, 0.25]])
+
+
+def test_decisions_become_the_environments_actions():
+    description = OnnxPolicy(artefact()).description
+    assert description == DESCRIPTION
+    physical = {"trajectory": np.array([[0.0, -0.5], [4.0, 0.0], [8.0, 0.5]], np.float32)}
+    np.testing.assert_allclose(description.environment_action(physical), [[-1, -1], [0, 0], [1, 1]])
+
+
+def test_a_policy_of_choices_without_memory_has_no_noise_and_empty_states():
+    policy = choosing()
+    images, motion = observe(2)
+    motion[:, 0] = [2.0, 0.0]
+    states = policy.initial_states(2)
+    assert {name: state.shape for name, state in states.items()} == {"behaviour": (2, 0), "waypoint": (2, 0)}
+    step = policy.step(images, motion, states)
+    np.testing.assert_array_equal(step.actions["behaviour"], [[2], [0]])
+    np.testing.assert_array_equal(policy.description.environment_action(step.actions), [[2, 7], [0, 5]])
+    assert {name: state.shape for name, state in step.states.items()} == {
+        "behaviour": (2, 0),
+        "waypoint": (2, 0),
+    }
+    forced = {"behaviour": np.array([[1.0], [np.nan]], np.float32)}
+    step = policy.step(images, motion, step.states, forced=forced)
+    np.testing.assert_array_equal(step.actions["behaviour"], [[1], [0]])
+    np.testing.assert_array_equal(step.actions["waypoint"], [[6], [5]])
+
+
+@pytest.mark.parametrize(("choice", "said"), [(3.0, "as 3"), (-1.0, "as -1"), (0.5, "as 0.5")])
+def test_a_choice_that_there_is_not_is_the_policys_fault(choice: float, said: str):
+    images, motion = observe(2)
+    motion[:, 0] = [1.0, choice]
+    with pytest.raises(
+        InvalidPolicy, match=f"decided behaviour {said}; it should be a whole number from 0 to 2"
+    ):
+        choosing().step(images, motion, {})
+
+
+def test_a_number_beyond_its_range_is_the_policys_fault():
+    policy = OnnxPolicy(artefact(graph=GRAPH.replace("Min (at_least, highest)", "Add (at_least, highest)")))
+    with pytest.raises(InvalidPolicy, match=r"decided target_speed as 11; it should be from 0 to 8"):
+        policy.step(*observe(1), policy.initial_states(1))
 
 
 @pytest.mark.parametrize(
@@ -134,12 +226,18 @@ def test_physical_actions_become_the_environments_actions():
         (artefact(metadata=None), "no 'athrl' metadata"),
         (artefact(metadata="no json"), "not JSON"),
         (artefact(metadata="[]"), "not a JSON object"),
-        (artefact(metadata=changed(schema_version=2)), "schema version 2; this program reads 1"),
-        (artefact(metadata=changed(levels=[])), "no level"),
-        (artefact(metadata=changed(levels=METADATA["levels"][:1])), "inputs are"),
-        (artefact(metadata=changed(observation={"image": [8, 8], "motion": []})), "three sizes"),
+        (artefact(metadata=changed(schema_version=1)), "schema version 1; this program reads 2"),
+        (artefact(metadata=changed(levels=[])), "0 levels"),
+        (artefact(metadata=changed(levels=METADATA["levels"][:1])), "no level decides target_speed"),
+        (artefact(metadata=changed(action_kind="flight")), "no kind of action 'flight'"),
+        (artefact(metadata=json.loads(CHOICES.to_json())), "inputs are"),
         (
-            artefact(metadata=changed(observation={"image": [16, 16, 4], "motion": ["speed", "steering"]})),
+            artefact(metadata=changed(observation=METADATA["observation"] | {"channels": 4})),
+            "'channels' is 4",
+        ),
+        (artefact(metadata=without_memory()), "inputs are"),
+        (
+            artefact(metadata=changed(observation=METADATA["observation"] | {"image_size": 16})),
             r"'image' is tensor\(uint8\)",
         ),
         (artefact(graph=GRAPH.replace("uint8[N,8,8,4]", "float[N,8,8,4]")), r"'image' is tensor\(float\)"),

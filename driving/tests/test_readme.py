@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import pytest
 from athrl_driving.envs.settings import DEFAULTS
 from athrl_driving.metrics import new_metrics, summary
 from athrl_driving.reward import REWARD_TERMS
+from athrl_spaces import WAYPOINT, LevelDescription, Limits, Observation, PolicyDescription, action_kind
 
 PAGE = (Path(__file__).parents[1] / "README.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -21,30 +20,22 @@ QUICK = [snippet for snippet in SNIPPETS if "stable_baselines3" not in snippet]
 
 GRAPH = """
 <ir_version: 8, opset_import: ["" : 17]>
-policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,1] plan_state)
-    => (float[N,2] plan, float[N,1] next_plan_state)
+policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,2] plan_noise, float[N,2] forced_plan)
+    => (float[N,2] plan)
 {
-    plan = Identity (motion)
-    next_plan_state = Identity (plan_state)
+    still = Sub (motion, motion)
+    plan = Abs (still)
 }
 """
 
 
 def write_policy(path: Path) -> None:
-    """Write a policy of one level that decides what `motion` is."""
-    noise = {"noise": "gaussian", "noise_scale": 0.1, "damping": 0}
-    actions = [
-        {"name": "target_speed", "unit": "m/s", "low": 0, "high": 7.95} | noise,
-        {"name": "waypoint_angle", "unit": "rad", "low": -math.pi / 6, "high": math.pi / 6} | noise,
-    ]
-    metadata = {
-        "schema_version": 1,
-        "planner": "test",
-        "observation": {"image": [32, 32, 4], "motion": ["speed_over_8", "steering_over_0.3"]},
-        "levels": [{"name": "plan", "state_size": 1, "actions": actions}],
-    }
+    """Write a policy of one level that stands still."""
+    limits = Limits()
+    levels = (LevelDescription("plan", action_kind(WAYPOINT).describe(limits)),)
+    description = PolicyDescription("test", WAYPOINT, limits, Observation(32), levels)
     model = onnx.parser.parse_model(GRAPH)
-    onnx.helper.set_model_props(model, {"athrl": json.dumps(metadata)})
+    onnx.helper.set_model_props(model, {"athrl": description.to_json()})
     path.write_bytes(model.SerializeToString())
 
 

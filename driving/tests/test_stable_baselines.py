@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation
-from stable_baselines3 import PPO, TD3
+from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.env_checker import check_env
 
 FEW_VEHICLES = {"vehicles_count": 20}
@@ -39,7 +39,34 @@ def test_td3_trains_on_the_default_town_flattened() -> None:
     assert _weights_move(model, 100)
 
 
-def _weights_move(model: PPO | TD3, steps: int) -> bool:
+@pytest.mark.parametrize("action", ["WaypointSetAction", "DirectAction"])
+def test_ppo_trains_on_the_other_kinds_of_action(action: str) -> None:
+    config = {**FEW_VEHICLES, "action": {"type": action}}
+    environment = FlattenObservation(gymnasium.make("athrl/Town03-v0", config=config))
+    check_env(environment, warn=False)
+    model = PPO("MlpPolicy", environment, n_steps=64, batch_size=32, n_epochs=1, seed=1, device="cpu")
+    assert _weights_move(model, 128)
+    action, _ = model.predict(environment.reset(seed=3)[0])
+    assert environment.action_space.contains(action)
+
+
+def test_sac_trains_on_acceleration_and_steering() -> None:
+    config = {**FEW_VEHICLES, "action": {"type": "DirectAction"}}
+    environment = FlattenObservation(gymnasium.make("athrl/Town03-v0", config=config))
+    model = SAC(
+        "MlpPolicy",
+        environment,
+        policy_kwargs={"net_arch": [16]},
+        buffer_size=500,
+        learning_starts=50,
+        batch_size=16,
+        seed=1,
+        device="cpu",
+    )
+    assert _weights_move(model, 60)
+
+
+def _weights_move(model: PPO | SAC | TD3, steps: int) -> bool:
     before = [parameter.detach().clone().numpy() for parameter in model.policy.parameters()]
     model.learn(steps)
     after = [parameter.detach().numpy() for parameter in model.policy.parameters()]

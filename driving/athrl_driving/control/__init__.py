@@ -1,9 +1,9 @@
 """The low level: PID controllers that turn a target speed and a waypoint into acceleration and steering."""
 
+from athrl_spaces.action_kinds import MAXIMUM_ACCELERATION, MAXIMUM_STEERING
+
 from athrl_driving.control.pid import Pid
 from athrl_driving.control.waypoint import (
-    MAXIMUM_ACCELERATION,
-    MAXIMUM_STEERING,
     WHEEL_ANGLE_PER_STEERING,
     WaypointController,
     acceleration_command,

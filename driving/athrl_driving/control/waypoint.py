@@ -9,16 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from athrl_spaces.action_kinds import MAXIMUM_ACCELERATION, MAXIMUM_STEERING
 from numpy.typing import NDArray
 
 from athrl_driving.compilation import compiled
 from athrl_driving.control.pid import Pid, pid_step
-
-MAXIMUM_ACCELERATION = 3.0
-"""Limit of accelerating and braking, m/s2."""
-
-MAXIMUM_STEERING = 0.3
-"""Limit of the steering command, a share of full lock as in CARLA."""
 
 WHEEL_ANGLE_PER_STEERING = math.radians(70.0)
 """Angle of the front wheels for a steering command of 1, rad; the limit of 0.3 is 21 degrees."""

@@ -8,7 +8,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.envs import TownEnv, TownRow
+from athrl_driving.envs import TownEnv, TownRow, WaypointAction
+from athrl_driving.errors import DrivingError
 
 DrivenTown = TownEnv | TownRow
 """A town environment, or one environment of a batch of them."""
@@ -27,8 +28,14 @@ class Driver(ABC):
 
 
 def town_of(env: gymnasium.Env | TownRow) -> DrivenTown:
-    """The town environment inside its wrappers; raises TypeError that names what is there instead."""
+    """The town environment inside its wrappers.
+
+    Raises TypeError that names what is there instead, and DrivingError for another kind of action.
+    """
     town = env.unwrapped
     if not isinstance(town, (TownEnv, TownRow)):
         raise TypeError(f"a driver needs a TownEnv, this is a {type(town).__name__}")
+    if not isinstance(town.action_type, WaypointAction):
+        name = type(town.action_type).__name__
+        raise DrivingError(f"a driver decides in WaypointAction, the environment takes {name}")
     return town

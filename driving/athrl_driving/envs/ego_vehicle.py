@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.utils import Vector
@@ -154,13 +156,14 @@ class EgoVehicle(Vehicle):
 
     @property
     def target_speed(self) -> float:
-        """Speed of the last decision, m/s."""
+        """Speed of the last decision, m/s; NaN where acceleration and steering are decided."""
         return float(self._control[TARGET_SPEED])
 
     @property
-    def waypoint(self) -> tuple[float, float]:
-        """Point of the last decision in the world, m."""
-        return float(self._control[WAYPOINT_X]), float(self._control[WAYPOINT_Y])
+    def waypoint(self) -> tuple[float, float] | None:
+        """Point of the last decision in the world, m; None where acceleration and steering are decided."""
+        x, y = float(self._control[WAYPOINT_X]), float(self._control[WAYPOINT_Y])
+        return None if math.isnan(x) else (x, y)
 
     @property
     def action(self) -> dict[str, float]:
@@ -180,7 +183,10 @@ class EgoVehicle(Vehicle):
         self._control[WAYPOINT_X], self._control[WAYPOINT_Y] = waypoint
 
     def act(self, action: dict | str | None = None) -> None:
-        """Run both controllers for one tick; `action` sets acceleration and wheel angle directly instead."""
+        """Run both controllers for one tick, or hold the commands where there is no waypoint.
+
+        `action` sets acceleration and wheel angle directly instead.
+        """
         if action is not None:
             super().act(action)
         else:

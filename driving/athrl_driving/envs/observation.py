@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from athrl_spaces import MOTION, Observation
 from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from numpy.typing import NDArray
 
 from athrl_driving.episode.motion import MOTION_LIMIT
-from athrl_driving.perception import CHANNELS
 
 if TYPE_CHECKING:
     from athrl_driving.envs.town_env import TownEnv
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 def observation_space(image_size: int) -> spaces.Dict:
     """`image` uint8 [size, size, 4], and `motion` float32 [2]: speed / 8 m/s, steering command / 0.3."""
-    shape = (image_size, image_size, len(CHANNELS))
+    shape = Observation(image_size).image_shape
     return spaces.Dict(
         {
             "image": spaces.Box(0, 255, shape=shape, dtype=np.uint8),
-            "motion": spaces.Box(-MOTION_LIMIT, MOTION_LIMIT, shape=(2,), dtype=np.float32),
+            "motion": spaces.Box(-MOTION_LIMIT, MOTION_LIMIT, shape=(len(MOTION),), dtype=np.float32),
         }
     )
 
@@ -40,5 +40,5 @@ class BirdEyeObservation(ObservationType):
 
     def observe(self) -> dict[str, NDArray]:
         """See the present moment; new arrays at each call."""
-        state = self.env.episodes.state.progress
-        return {"image": state.images[0].copy(), "motion": state.motion[0].copy()}
+        sight = self.env.episodes.state.sight
+        return {"image": sight.images[0].copy(), "motion": sight.motion[0].copy()}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from athrl_driving.envs.action import WaypointAction
+from athrl_driving.envs.action import DirectAction, WaypointAction, WaypointSetAction, make_action
 from athrl_driving.envs.ego_vehicle import EgoVehicle
 from athrl_driving.envs.road import EpisodeRoad
 from athrl_driving.episode import Episodes
@@ -53,13 +53,13 @@ class TownRow:
         return Route.of_environment(self.town.graph, self.episodes.state.routes, self.e)
 
     @cached_property
-    def action_type(self) -> WaypointAction:
+    def action_type(self) -> WaypointAction | WaypointSetAction | DirectAction:
         """What the entries of an action mean."""
-        return WaypointAction(self)
+        return make_action(self)
 
     @cached_property
-    def action_space(self) -> spaces.Box:
-        """The action space, float32 [2]."""
+    def action_space(self) -> spaces.Space:
+        """The action space of two entries."""
         return self.action_type.space()
 
     def scene(self) -> Scene:
@@ -74,7 +74,7 @@ class TownRow:
             ego=VehiclePose(x, y, ego.heading, ego.speed, ego.LENGTH, ego.WIDTH),
             vehicles=tuple(VehiclePose(*row) for row in np.stack(columns, axis=1).tolist()),
             route=self.route.waypoints()[:, :2],
-            waypoint=np.array(ego.waypoint),
+            waypoint=None if ego.waypoint is None else np.array(ego.waypoint),
             target_speed=ego.target_speed,
             steering=float(state.control[e, WHEEL_ANGLE]),
             acceleration=float(state.control[e, ACCELERATION]),

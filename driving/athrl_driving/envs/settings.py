@@ -9,13 +9,26 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from athrl_driving.episode import DriveSettings, Episodes
+from athrl_spaces import DIRECT, WAYPOINT, WAYPOINT_SET, Limits, action_kind
+from athrl_spaces.environment import BOUNDS
+
+from athrl_driving.episode import Crew, DriveSettings, Episodes, Sight, new_sight
+from athrl_driving.episode.decision import KIND_NUMBERS
 from athrl_driving.episode.starts import RANDOM, Journeys, place_on_map
 from athrl_driving.errors import DrivingError
 from athrl_driving.maps import TOWNS, Town, load_town
 from athrl_driving.perception import EGO_ABOVE_LOWER_EDGE, LIDAR_RANGE, RAYS, WINDOW_SIDE, new_perception
 from athrl_driving.scenarios import SCENARIOS, places_near
 from athrl_driving.traffic.state import new_traffic
+
+ACTION_KIND_OF_TYPE = {
+    "WaypointAction": WAYPOINT,
+    "WaypointSetAction": WAYPOINT_SET,
+    "DirectAction": DIRECT,
+}
+"""The kind of action (`athrl_spaces.ACTION_KINDS`) by the name that the setting `action` gives it."""
+
+_LIMITS = Limits()
 
 DEFAULTS: dict[str, Any] = {
     "observation": {"type": "BirdEyeObservation"},
@@ -33,9 +46,9 @@ DEFAULTS: dict[str, Any] = {
     "episode_ticks": 500,
     "ticks_per_decision": 4,
     "simulation_frequency": 10,  # [Hz]
-    "maximum_speed": 7.95,  # [m/s] highest target speed; above 8 m/s every tick costs
-    "waypoint_radius": 8.0,  # [m]
-    "waypoint_half_angle": math.pi / 6,  # [rad]
+    "maximum_speed": _LIMITS.maximum_speed,  # [m/s] highest target speed; above 8 m/s every tick costs
+    "waypoint_radius": _LIMITS.waypoint_radius,  # [m]
+    "waypoint_half_angle": _LIMITS.waypoint_half_angle,  # [rad]
     "screen_width": 600,  # [px]
     "screen_height": 600,  # [px]
     "centering_position": [0.5, 0.5],
@@ -46,7 +59,7 @@ DEFAULTS: dict[str, Any] = {
 _PERCEPTION_SETTINGS = ("window_side", "ego_above_lower_edge", "lidar_range", "lidar_rays")
 
 _BOUNDS: dict[str, tuple[type, float, float]] = {
-    "vehicles_count": (int, 0, 10_000),
+    "vehicles_count": BOUNDS["vehicles"],
     "window_side": (float, 4, 1000),
     "ego_above_lower_edge": (float, 0, 1000),
     "lidar_range": (float, 0.01, 1000),
@@ -54,13 +67,16 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
     "screen_width": (int, 16, 10_000),
     "screen_height": (int, 16, 10_000),
     "scaling": (float, 0.1, 1000),
-    "image_size": (int, 8, 512),
-    "episode_ticks": (int, 1, 10**9),
-    "ticks_per_decision": (int, 1, 1000),
     "simulation_frequency": (float, 1, 1000),
-    "maximum_speed": (float, 0.1, 40),
-    "waypoint_radius": (float, 1, 100),
-    "waypoint_half_angle": (float, 0.01, math.pi / 2),
+    **{
+        name: BOUNDS[name]
+        for name in ("image_size", "episode_ticks", "ticks_per_decision", "maximum_speed", "waypoint_radius")
+    },
+    "waypoint_half_angle": (
+        float,
+        math.radians(BOUNDS["waypoint_half_angle"][1]),
+        math.radians(BOUNDS["waypoint_half_angle"][2]),
+    ),
 }
 
 _SWITCHES: dict[str, tuple[bool | None, ...]] = {
@@ -73,7 +89,7 @@ _SWITCHES: dict[str, tuple[bool | None, ...]] = {
 _WITHOUT_EFFECT = {
     "other_vehicles_type": "a town has vehicles of its own kind",
     "neighbour_vehicles_connected_lanes": "a town's vehicles see across all lanes that are connected",
-    "manual_control": "an action is a target speed and a waypoint, for which there are no keys",
+    "manual_control": "there are no keys for the actions of a town",
 }
 """highway-env's settings that a town cannot follow, and why; they stay what they are."""
 
@@ -153,11 +169,25 @@ def _check(settings: Mapping[str, Any]) -> None:
         raise DrivingError(
             f"the setting centering_position is {centre!r}, it should be two numbers from 0 to 1"
         )
-    for key, expected in (("observation", "BirdEyeObservation"), ("action", "WaypointAction")):
-        if settings[key] != {"type": expected}:
-            raise DrivingError(
-                f"the setting {key} is {settings[key]!r}, it should be {{'type': {expected!r}}}"
-            )
+    if settings["observation"] != {"type": "BirdEyeObservation"}:
+        raise DrivingError(
+            f"the setting observation is {settings['observation']!r}, "
+            "it should be {'type': 'BirdEyeObservation'}"
+        )
+    _check_action(settings["action"])
+
+
+def _check_action(action: Any) -> None:
+    """Refuse an action that is none of the kinds, with the nearest of them."""
+    name = action.get("type") if isinstance(action, Mapping) else action
+    if isinstance(name, str) and name in ACTION_KIND_OF_TYPE and action == {"type": name}:
+        return
+    near = difflib.get_close_matches(str(name), ACTION_KIND_OF_TYPE, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise DrivingError(
+        f"the setting action is {action!r}, it should be {{'type': 'WaypointAction'}}, or with another of "
+        f"{', '.join(ACTION_KIND_OF_TYPE)}{hint}"
+    )
 
 
 def _check_number(key: str, value: Any, kind: type, low: float, high: float) -> None:
@@ -208,6 +238,12 @@ def _are_numbers(values: Any) -> bool:
     )
 
 
+def action_setting(kind: str) -> dict[str, str]:
+    """The setting `action` for a kind of action; raises ValueError in one line for one that there is not."""
+    action_kind(kind)
+    return {"type": next(name for name, known in ACTION_KIND_OF_TYPE.items() if known == kind)}
+
+
 def town_of(config: Mapping[str, Any]) -> Town:
     """The town that settings name; raises ValueError in one line where there is none or it cannot be read."""
     return load_town(config["town"])
@@ -222,18 +258,23 @@ def drive_settings(config: Mapping[str, Any]) -> DriveSettings:
         maximum_speed=float(config["maximum_speed"]),
         waypoint_radius=float(config["waypoint_radius"]),
         waypoint_half_angle=float(config["waypoint_half_angle"]),
+        action_kind=KIND_NUMBERS[ACTION_KIND_OF_TYPE[config["action"]["type"]]],
     )
 
 
 def new_episodes(
-    config: Mapping[str, Any], town: Town, environments: int, threads: int = 1, recorded: int = 0
+    config: Mapping[str, Any],
+    town: Town,
+    environments: int,
+    crew: Crew | None = None,
+    sight: Sight | None = None,
 ) -> Episodes:
     """Room for the episodes of `environments` environments with these settings.
 
-    `recorded` decisions fit on the tape of each.
+    The crew drives them, without one the caller's thread. They write what is seen to their rows of `sight`,
+    which has as many; without one they have their own.
 
-    Raises ValueError in one line for a place that the map does not have, or that has no room for
-    the vehicles.
+    Raises ValueError in one line for a place that the map does not have, or without room for the vehicles.
     """
     _check_room_near(config, town)
     drive, destination = drive_settings(config), config["destination"]
@@ -241,7 +282,7 @@ def new_episodes(
         town,
         drive,
         new_perception(town, **{name: config[name] for name in _PERCEPTION_SETTINGS}),
-        environments,
+        new_sight(environments, int(config["image_size"]), 0) if sight is None else sight,
         Journeys(
             town,
             drive.episode_ticks * drive.interval,
@@ -249,10 +290,8 @@ def new_episodes(
             destination if destination in (None, RANDOM) else place_on_map(town, destination),
         ),
         vehicles=int(config["vehicles_count"]),
-        image_size=int(config["image_size"]),
         traffic_near=config["traffic_near"],
-        recorded=recorded,
-        threads=threads,
+        crew=crew,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
-from athrl_driving.envs.action import WaypointAction, checked_actions
+from athrl_driving.envs.action import make_action
 from athrl_driving.envs.observation import BirdEyeObservation
 from athrl_driving.envs.row import TownRow
 from athrl_driving.envs.settings import (
@@ -100,7 +100,7 @@ class TownEnv(AbstractEnv):
         if self._spaces_are_current:
             return
         self.observation_type = BirdEyeObservation(self)
-        self.action_type = WaypointAction(self)
+        self.action_type = make_action(self)
         self.observation_space = self.observation_type.space()
         self.action_space = self.action_type.space()
         self._spaces_are_current = True
@@ -134,7 +134,7 @@ class TownEnv(AbstractEnv):
             if name not in _REMADE:
                 setattr(result, name, copy.deepcopy(value, memo))
         result.viewer = result._record_video_wrapper = None
-        result.observation_type, result.action_type = BirdEyeObservation(result), WaypointAction(result)
+        result.observation_type, result.action_type = BirdEyeObservation(result), make_action(result)
         result._show()
         return result
 
@@ -144,11 +144,11 @@ class TownEnv(AbstractEnv):
         self.time = self.steps / self.config["simulation_frequency"]
 
     def step(self, action: NDArray[np.floating] | None) -> tuple[dict, float, bool, bool, dict[str, Any]]:
-        """Make one decision, float32 [2] within [-1, 1]; without one, the last one holds on.
+        """Make one decision of the kind that `action_space` tells; without one, the last one holds on.
 
-        Raises DrivingError for an action that is not two finite numbers, before anything moves.
+        Raises DrivingError for an action that is none, before anything moves.
         """
-        return super().step(None if action is None else checked_actions(action, (2,)))
+        return super().step(None if action is None else self.action_type.checked(action, (2,)))
 
     def _simulate(self, action: NDArray[np.floating] | None = None) -> None:
         """Let a decision hold for its ticks or until the episode ends; without one the last one holds on."""

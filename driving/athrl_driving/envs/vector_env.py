@@ -14,7 +14,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from athrl_driving.envs.action import WaypointAction, checked_actions
 from athrl_driving.envs.observation import observation_space
 from athrl_driving.envs.row import TownRow
 from athrl_driving.envs.settings import (
@@ -25,7 +24,7 @@ from athrl_driving.envs.settings import (
     town_of,
 )
 from athrl_driving.envs.town_env import TownEnv
-from athrl_driving.episode import DECIDE
+from athrl_driving.episode import DECIDE, Crew, Sight
 from athrl_driving.errors import DrivingError
 from athrl_driving.scene import Scene
 
@@ -44,8 +43,8 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     least four environments, as fewer cost more than they bring: the attribute `threads` tells how many work.
     The results do not depend on it. `autoreset_mode` is gymnasium's: an
     episode that has ended begins anew at the next step (NEXT_STEP), within the same step (SAME_STEP), or when
-    `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED). `recorded` decisions of
-    each environment fit on its tape, `episodes.state.tape`, which the driver rewinds.
+    `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED). Vectors of
+    several towns may have memory for what is seen, `sight`, and the threads of a `crew` in common.
     """
 
     def __init__(
@@ -57,7 +56,8 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         scenario: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
-        recorded: int = 0,
+        sight: Sight | None = None,
+        crew: Crew | None = None,
         **others: Any,
     ) -> None:
         refuse_arguments(others)
@@ -77,13 +77,15 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
             "autoreset_mode": self.autoreset_mode,
         }
         self.town = town_of(self.config)
-        most = len(os.sched_getaffinity(0)) if threads is None else _whole_number("threads", threads)
-        self.episodes = new_episodes(self.config, self.town, num_envs, most, recorded)
+        if crew is None:
+            crew = Crew(cores() if threads is None else _whole_number("threads", threads))
+        self.episodes = new_episodes(self.config, self.town, num_envs, crew, sight)
         self.threads = len(self.episodes.chunks)
         self.single_observation_space = observation_space(self.config["image_size"])
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._rows = [TownRow(self.episodes, e, self.config) for e in range(num_envs)]
-        self.single_action_space = WaypointAction(self._rows[0]).space()
+        self._action_type = self._rows[0].action_type
+        self.single_action_space = self._action_type.space()
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._ended = np.zeros(num_envs, np.bool_)
@@ -111,10 +113,10 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     def step(
         self, actions: NDArray[np.floating]
     ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Make one decision in every environment; `actions` is float32 [num_envs, 2] within [-1, 1].
+        """Make one decision in every environment; `actions` are [num_envs, 2] of `single_action_space`.
 
-        Raises DrivingError for actions that are no finite numbers of this shape, before anything moves, and
-        ResetNeeded where an episode has not begun, or has ended and nothing resets it.
+        Raises DrivingError for actions that are none, before anything moves, and ResetNeeded where an episode
+        has not begun, or has ended and nothing resets it.
         """
         actions = self._checked(actions)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
@@ -135,7 +137,19 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
 
         Returns rewards, terminated, truncated and infos of these; the others stand still.
         """
-        self._drive(self._checked(actions), rows)
+        self.order_rows(actions, rows)
+        self.episodes.drive()
+        return self.results_of_rows(rows)
+
+    def order_rows(self, actions: NDArray, rows: NDArray[np.bool_]) -> None:
+        """The first half of `step_rows`: a crew that drives the pieces of `episodes` has to follow."""
+        self._order(self._checked(actions), rows)
+
+    def results_of_rows(
+        self, rows: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """The second half of `step_rows`."""
+        self._note_ends()
         rewards, terminated, truncated = self._results()
         return rewards * rows, terminated & rows, truncated & rows, self._infos(rows)
 
@@ -147,13 +161,13 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
 
     @property
     def images(self) -> NDArray[np.uint8]:
-        """uint8 [num_envs, S, S, 4]: what was last seen; it changes with every step."""
-        return self.episodes.state.progress.images
+        """uint8 [num_envs, S, S, channels]: what was last seen; it changes with every step."""
+        return self.episodes.state.sight.images
 
     @property
     def motion(self) -> NDArray[np.float32]:
         """float32 [num_envs, 2] that goes with `images`."""
-        return self.episodes.state.progress.motion
+        return self.episodes.state.sight.motion
 
     def row(self, e: int) -> TownRow:
         """Environment `e` as an object, for drivers and viewers."""
@@ -205,11 +219,18 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         return self._observe(), *results, infos
 
     def _drive(self, actions: NDArray[np.float32], rows: NDArray[np.bool_]) -> None:
+        self._order(actions, rows)
+        self.episodes.drive()
+        self._note_ends()
+
+    def _order(self, actions: NDArray[np.float32], rows: NDArray[np.bool_]) -> None:
         if not self._begun.all():
             missing = np.flatnonzero(rows & ~self._begun).tolist()
             if missing:
                 raise ResetNeeded(f"no episode has begun in environments {missing}: call reset before step")
-        self.episodes.work(rows * DECIDE, actions)
+        self.episodes.order(rows * DECIDE, actions)
+
+    def _note_ends(self) -> None:
         state = self.episodes.state.progress
         np.logical_or(state.terminated, state.truncated, out=self._ended)
 
@@ -220,8 +241,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         self._ended[rows] = False
 
     def _observe(self) -> Observations:
-        state = self.episodes.state.progress
-        return {"image": state.images.copy(), "motion": state.motion.copy()}
+        return {"image": self.images.copy(), "motion": self.motion.copy()}
 
     def _results(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         state = self.episodes.state.progress
@@ -236,7 +256,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         return infos
 
     def _checked(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
-        return checked_actions(actions, (self.num_envs, 2))
+        return self._action_type.checked(actions, (self.num_envs, 2))
 
     def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         mask = (options or {}).get("reset_mask")
@@ -268,6 +288,11 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         if generator is None:
             generator = self._generators[e] = seeding.np_random()[0]
         return generator
+
+
+def cores() -> int:
+    """How many cores the process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def _whole_number(name: str, value: Any) -> int:

@@ -147,7 +147,9 @@ def _draw_route(route: Route, surface: WorldSurface) -> None:
 
 
 def _draw_waypoint(ego: EgoVehicle, surface: WorldSurface) -> None:
-    """Draw the point that the ego drives to by its last decision, and the way there."""
+    """Draw the point that the ego drives to by its last decision, and the way there, if there is one."""
+    if ego.waypoint is None:
+        return
     place, waypoint = surface.vec2pix(ego.position), surface.vec2pix(ego.waypoint)
     if place == waypoint:  # before the first decision
         return

@@ -1,9 +1,10 @@
 """How an episode begins, compiled."""
 
 from athrl_driving.compilation import part
+from athrl_driving.episode.decision import forget_aim
 from athrl_driving.episode.ego import X, Y, place_ego
 from athrl_driving.episode.orders import Orders
-from athrl_driving.episode.state import Progress, Views
+from athrl_driving.episode.state import DriveSettings, Progress, Views
 from athrl_driving.maps.geometry import lane_elevation, lane_pose
 from athrl_driving.metrics import NO_COLLISION, reset_metrics
 from athrl_driving.route import lanes_ahead, start_route
@@ -14,13 +15,14 @@ CLEARANCE = 8.0
 
 
 @part
-def begin(views: Views, progress: Progress, orders: Orders, e: int) -> None:
+def begin(views: Views, settings: DriveSettings, progress: Progress, orders: Orders, e: int) -> None:
     """Begin an episode in environment `e`, whose own traffic, route and metrics are in `views`."""
     graph, route, start = views.traffic.graph, views.route, orders.starts[e]
     row, s, seeds = int(start[0]), start[1], orders.seeds[e]
     start_route(graph, route, row, s, seeds[0], orders.plans[e, : orders.plan_rows[e]], start[2])
     x, y, heading = lane_pose(graph, row, s)
     place_ego(progress.ego[e], progress.control[e], x, y, heading, lane_elevation(graph, row, s))
+    forget_aim(settings, progress.control[e])
     lanes_ahead(graph, route, progress.path[e])
     _clear_episode(progress, e)
     reset_metrics(views.metrics, 0.0, heading, start[3])

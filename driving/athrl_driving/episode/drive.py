@@ -1,20 +1,14 @@
 """One decision as one compiled call: controllers, ego, traffic, collision, route, reward, metrics, image."""
 
-import math
-
-import numpy as np
-from numpy.typing import NDArray
-
 from athrl_driving.by_reference import by_reference
-from athrl_driving.compilation import compiled, entry, part
+from athrl_driving.compilation import entry, part
 from athrl_driving.episode.beginning import begin, clear_decision
-from athrl_driving.episode.ego import HEADING, TARGET_SPEED, WAYPOINT_X, WAYPOINT_Y, X, Y
+from athrl_driving.episode.decision import take
 from athrl_driving.episode.motion import note_motion
 from athrl_driving.episode.orders import BEGIN, DRIVE, LOOK, SEE, START, TAKE, TICK, Orders
 from athrl_driving.episode.state import DriveSettings, EpisodeState, Progress, Views
 from athrl_driving.episode.tape import record
 from athrl_driving.episode.tick import tick
-from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.metrics import environment_metrics
 from athrl_driving.perception import draw_surroundings
 from athrl_driving.route import environment_route
@@ -40,13 +34,14 @@ def drive(state: EpisodeState, orders: Orders, first: int, last: int) -> None:
         )
         views = by_reference(own)
         if work & START:
-            begin(views, progress, orders, e)
+            begin(views, state.settings, progress, orders, e)
         _decide(views, state.settings, progress, orders, e)
         if work & SEE:
-            ego, image = progress.ego[e], progress.images[e]
+            ego, row = progress.ego[e], state.sight.rows[e]
+            image, motion = state.sight.images[row], state.sight.motion[row]
             draw_surroundings(state.perception, views.traffic, views.route, ego, image, progress.lidar[e])
-            note_motion(ego, progress.control[e], progress.motion[e])
-            record(state.tape, e, progress.decisions[e], progress.motion[e], progress.reward[e])
+            note_motion(ego, progress.control[e], motion)
+            record(state.sight.tape, row, progress.decisions[e], motion, progress.reward[e])
         if work & LOOK:
             advance(views.traffic, progress.ego[e], progress.path[e], 0.0)
 
@@ -59,29 +54,10 @@ def _decide(views: Views, settings: DriveSettings, progress: Progress, orders: O
         clear_decision(progress, e)
         progress.decisions[e] += 1
     if work & TAKE:
-        place_waypoint(settings, progress.ego[e], progress.control[e], orders.actions[e])
+        take(settings, progress.ego[e], progress.control[e], orders.actions[e])
     if work & (TICK + DRIVE):
         ticks = settings.ticks_per_decision if work & DRIVE else 1
         for _ in range(ticks):
             tick(views, settings, progress, e)
             if progress.terminated[e] or progress.truncated[e]:
                 break
-
-
-@compiled
-def take_decision(settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[np.float32]) -> None:
-    """Let Python call `place_waypoint`."""
-    place_waypoint(settings, ego, control, action)
-
-
-@part
-def place_waypoint(
-    settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[np.float32]
-) -> None:
-    """Turn a normalised action (clipped to [-1, 1]) into a target speed and a waypoint in the world."""
-    speed = min(max(float(action[0]), -1.0), 1.0)
-    angle = min(max(float(action[1]), -1.0), 1.0)
-    control[TARGET_SPEED] = (speed + 1.0) / 2.0 * settings.maximum_speed
-    direction = ego[HEADING] + angle * settings.waypoint_half_angle
-    control[WAYPOINT_X] = ego[X] + settings.waypoint_radius * math.cos(direction)
-    control[WAYPOINT_Y] = ego[Y] + settings.waypoint_radius * math.sin(direction)

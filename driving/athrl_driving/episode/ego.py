@@ -24,8 +24,8 @@ X, Y, HEADING, SPEED, LENGTH, WIDTH, ELEVATION, PRESENT, EGO_SIZE = range(9)
     STEERING_MEMORY,
     CONTROL_SIZE,
 ) = (0, 1, 2, 3, 4, 5, 6, 8, 10)
-"""Places in `control`, float64 [10]: the decision (m/s, m, m), the last commands (share of full lock, rad,
-m/s2), and the memories of the two loops, two numbers each."""
+"""Places in `control`, float64 [10]: the decision (m/s, m, m; NaN where commands are given directly), the
+last commands (share of full lock, rad, m/s2), and the memories of the two loops, two numbers each."""
 
 EGO_LENGTH, EGO_WIDTH = 4.9, 2.1
 """Size of the ego, m."""
@@ -50,7 +50,9 @@ def place_ego(ego: Floats, control: Floats, x: float, y: float, heading: float, 
 
 @compiled
 def control_ego(ego: Floats, control: Floats, interval: float) -> None:
-    """Run both controllers for one tick of `interval` seconds."""
+    """Run both controllers for one tick of `interval` seconds; without a target the last commands hold."""
+    if math.isnan(control[TARGET_SPEED]):
+        return
     control[STEERING] = steering_command(
         control[STEERING_MEMORY : STEERING_MEMORY + 2],
         ego[X], ego[Y], ego[HEADING], control[WAYPOINT_X], control[WAYPOINT_Y], interval,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,11 @@ from numpy.typing import NDArray
 
 from athrl_driving.compilation import compiled_once
 from athrl_driving.control import angle_in_frame
+from athrl_driving.episode.crew import Crew, Piece
 from athrl_driving.episode.drive import drive
 from athrl_driving.episode.orders import LOOK, SEE, START, new_orders
 from athrl_driving.episode.pinned import Pinned
+from athrl_driving.episode.sight import Sight
 from athrl_driving.episode.starts import Journeys
 from athrl_driving.episode.state import DriveSettings, EpisodeState, new_state
 from athrl_driving.errors import DrivingError
@@ -32,14 +33,13 @@ _COMPILE_SECONDS = 40
 
 
 class Episodes:
-    """E episodes of one town; `state` holds their arrays.
+    """E episodes of one town, one for each row of `sight`; `state` holds their arrays.
 
     What happens in an environment depends on its seed and its actions alone: not on the others, on how many
     there are or on the number of threads.
 
-    `traffic_near` (x, y, radius, m) is where vehicles may start, anywhere without it. `recorded` is how many
-    decisions the tape of each environment has room for (`episode.tape`). `threads` is how many
-    work at most, with `ROWS_PER_THREAD` environments each at least; how many do is `len(self.chunks)`.
+    `traffic_near` (x, y, radius, m) is where vehicles may start, anywhere without it. `crew` drives
+    them, in pieces of `ROWS_PER_THREAD` environments at least; how many there are is `len(self.chunks)`.
     """
 
     def __init__(
@@ -47,36 +47,27 @@ class Episodes:
         town: Town,
         settings: DriveSettings,
         perception: Perception,
-        environments: int,
+        sight: Sight,
         journeys: Journeys,
         *,
         vehicles: int,
-        image_size: int,
         traffic_near: tuple[float, float, float] | None = None,
-        recorded: int = 0,
-        threads: int = 1,
+        crew: Crew | None = None,
     ) -> None:
         self.town = town
-        self.state: EpisodeState = new_state(
-            town,
-            settings,
-            perception,
-            environments,
-            vehicles=vehicles,
-            image_size=image_size,
-            recorded=recorded,
-        )
+        environments = sight.rows.size
+        self.state: EpisodeState = new_state(town, settings, perception, sight, vehicles)
         if traffic_near is not None:
             self.state = self.state._replace(traffic=places_near(self.state.traffic, *traffic_near))
         self._orders = new_orders(environments, self.state.traffic.rails.start_link.size)
         self._pinned: tuple[Any, Any] = Pinned(self.state), Pinned(self._orders)
         self._journeys = journeys
         self._traffic_near = traffic_near
-        threads = max(1, min(threads, environments // ROWS_PER_THREAD))
-        edges = [environments * chunk // threads for chunk in range(threads + 1)]
+        self._crew = Crew(1) if crew is None else crew
+        pieces = max(1, min(self._crew.threads, environments // ROWS_PER_THREAD))
+        edges = [environments * piece // pieces for piece in range(pieces + 1)]
         self.chunks = list(itertools.pairwise(edges))
-        """The environments of each thread: the first, and the first of the next."""
-        self._pool = ThreadPoolExecutor(threads - 1, "athrl-drive") if threads > 1 else None
+        """The environments of each piece: the first, and the first of the next."""
         with compiled_once(drive, "the towns", _COMPILE_SECONDS):
             prepare_summary(self.state.metrics)
             Route.prepare(town.graph, self.state.routes)
@@ -87,9 +78,8 @@ class Episodes:
         return self._orders.work.size
 
     def close(self) -> None:
-        """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
+        """End the crew's threads."""
+        self._crew.close()
 
     def begin(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
         """Begin episodes in the environments `rows` and see them; each draws from its own generator alone.
@@ -106,7 +96,7 @@ class Episodes:
             orders.plans[e, : journey.plan.size] = journey.plan
             # One seed each, so that the ego's route does not depend on how much traffic there is.
             orders.seeds[e] = generator.integers(2**63, size=2, dtype=np.uint64)
-        self._do()
+        self.drive()
         vehicles, placed = self.state.traffic.background.lane.shape[1], orders.placed[rows].min(initial=10**9)
         if placed < vehicles:
             where = "in the town"
@@ -117,31 +107,34 @@ class Episodes:
                 f"vehicles_count is {vehicles}, but {where} there is room for {placed} at most"
             )
 
-    def work(self, work: int | NDArray[np.int64], actions: NDArray[np.float32] | None = None) -> None:
-        """Do `work`, int64 [E] or the same in all environments (see `episode.orders`).
+    @property
+    def pieces(self) -> list[Piece]:
+        """All environments, as a crew drives them."""
+        return [(*self._pinned, first, last) for first, last in self.chunks]
 
-        `actions` is float32 [E, 2]; without one there is nothing to TAKE.
+    def order(self, work: int | NDArray[np.int64], actions: NDArray[np.float32] | None = None) -> None:
+        """Leave `work` to be done, int64 [E] or the same in all environments (see `episode.orders`).
+
+        `actions` is float32 [E, 2]; without one there is nothing to TAKE. A crew drives `pieces` to do it.
         """
         self._orders.work[:] = work
         if actions is not None:
             self._orders.actions[:] = actions
-        self._do()
+
+    def work(self, work: int | NDArray[np.int64], actions: NDArray[np.float32] | None = None) -> None:
+        """Do `work`, as `order` has it."""
+        self.order(work, actions)
+        self.drive()
+
+    def drive(self) -> None:
+        """Do the work that is ordered."""
+        self._crew.drive(self.pieces)
 
     def look(self, e: int) -> None:
         """Find the leader of environment `e`'s ego and its next junction as they are now."""
         self._orders.work[:] = 0
         self._orders.work[e] = LOOK
         drive(*self._pinned, e, e + 1)
-
-    def _do(self) -> None:
-        if self._pool is None:
-            drive(*self._pinned, 0, len(self))
-            return
-        others = [self._pool.submit(drive, *self._pinned, first, last) for first, last in self.chunks[1:]]
-        drive(*self._pinned, *self.chunks[0])
-        wait(others)
-        for other in others:
-            other.result()
 
     def info(self, e: int) -> dict[str, Any]:
         """The last decision's reward terms, mean speed (m/s) and ticks, the episode's metres and its end.
@@ -183,9 +176,10 @@ class Episodes:
 
 
 def _masked(columns: Mapping[str, NDArray], rows: NDArray[np.bool_]) -> dict[str, NDArray]:
-    masked = {}
+    masked, are_all = {}, rows.all()
     for name, column in columns.items():
         masked[name] = column.copy()
-        masked[name][~rows] = 0
+        if not are_all:
+            masked[name][~rows] = 0
         masked[f"_{name}"] = rows.copy()
     return masked

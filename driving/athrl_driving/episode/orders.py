@@ -24,7 +24,7 @@ class Orders(NamedTuple):
     work: Integers
     """[E] see above."""
     actions: NDArray[np.float32]
-    """[E, 2] within [-1, 1]: target speed and waypoint angle."""
+    """[E, 2] as the kind of action takes them: within [-1, 1], or choices as whole numbers."""
     starts: Floats
     """[E, 4] where an episode starts: the ego's row of the lane graph, the metres along it, those along the
     last row of the plan where the destination is, and the way that is the whole of the episode, m."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.episode.ego import CONTROL_SIZE, EGO_SIZE
-from athrl_driving.episode.tape import Tape, new_tape
+from athrl_driving.episode.sight import Sight
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.metrics import MetricsState, new_metrics
@@ -38,6 +38,8 @@ class DriveSettings(NamedTuple):
     """Distance of the waypoint, m."""
     waypoint_half_angle: float
     """Angle of the outermost waypoints, rad."""
+    action_kind: int
+    """Number of the kind of action, its place in `athrl_spaces.ACTION_KINDS`."""
 
 
 class Progress(NamedTuple):
@@ -77,12 +79,8 @@ class Progress(NamedTuple):
     """[E] mean speed of the last decision, m/s."""
     distance: Floats
     """[E] driven in the episode, m."""
-    images: NDArray[np.uint8]
-    """[E, S, S, 4]"""
     lidar: Floats
     """[E, rays] m to the first vehicle, clockwise from straight ahead; infinite where there is none."""
-    motion: NDArray[np.float32]
-    """[E, 2] speed / 8 m/s and steering command / 0.3, within +-2."""
 
 
 class EpisodeState(NamedTuple):
@@ -94,7 +92,7 @@ class EpisodeState(NamedTuple):
     metrics: MetricsState
     perception: Perception
     progress: Progress
-    tape: Tape
+    sight: Sight
 
 
 class Views(NamedTuple):
@@ -109,29 +107,23 @@ def new_state(
     town: Town,
     settings: DriveSettings,
     perception: Perception,
-    environments: int,
-    *,
+    sight: Sight,
     vehicles: int,
-    image_size: int,
-    recorded: int = 0,
 ) -> EpisodeState:
-    """Make room for `environments` episodes with `vehicles` background vehicles each; none has begun.
-
-    Their tapes have room for `recorded` decisions.
-    """
-    progress = _new_progress(environments, image_size, perception.ray_cosine.size)
+    """Make room for an episode in each row of `sight`, with so many background vehicles; none has begun."""
+    environments = sight.rows.size
     return EpisodeState(
         settings=settings,
         traffic=new_traffic(town, environments, vehicles),
         routes=new_routes(town.graph, environments),
         metrics=new_metrics(environments),
         perception=perception,
-        progress=progress,
-        tape=new_tape(progress.images, recorded),
+        progress=_new_progress(environments, perception.ray_cosine.size),
+        sight=sight,
     )
 
 
-def _new_progress(count: int, image_size: int, rays: int) -> Progress:
+def _new_progress(count: int, rays: int) -> Progress:
     return Progress(
         ego=np.zeros((count, EGO_SIZE)),
         control=np.zeros((count, CONTROL_SIZE)),
@@ -150,7 +142,5 @@ def _new_progress(count: int, image_size: int, rays: int) -> Progress:
         reward=np.zeros(count),
         speed=np.zeros(count),
         distance=np.zeros(count),
-        images=np.zeros((count, image_size, image_size, 4), np.uint8),
         lidar=np.full((count, rays), np.inf),
-        motion=np.zeros((count, 2), np.float32),
     )

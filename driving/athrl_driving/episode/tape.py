@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from athrl_spaces import MOTION
 from numpy.typing import NDArray
 
 from athrl_driving.compilation import part
@@ -23,7 +24,7 @@ class Tape(NamedTuple):
     images: NDArray[np.uint8]
     """[E, N, pixels]"""
     motion: NDArray[np.float32]
-    """[E, N, 2] that go with them."""
+    """[E, N, m] that go with them."""
     rewards: NDArray[np.float32]
     """[E, N] of the decision that the observation in the same row led to."""
     first: Integers
@@ -31,16 +32,16 @@ class Tape(NamedTuple):
 
 
 def new_tape(seen: NDArray[np.uint8], decisions: int) -> Tape:
-    """Empty tapes with room for so many decisions each; `seen` uint8 [E, S, S, 4] is what the kernel draws.
+    """Empty tapes with room for so many decisions each.
 
-    With 0 decisions nothing is recorded.
+    `seen` uint8 [E, S, S, channels] is where the kernel draws. With 0 decisions nothing is recorded.
     """
     count, pixels = len(seen), seen[0].size
     observations = decisions + 1 if decisions else 0
     return Tape(
         seen=seen.reshape(count, pixels),
         images=np.zeros((count, observations, pixels), np.uint8),
-        motion=np.zeros((count, observations, 2), np.float32),
+        motion=np.zeros((count, observations, len(MOTION)), np.float32),
         rewards=np.zeros((count, observations), np.float32),
         first=np.zeros(count, np.int64),
     )
@@ -48,7 +49,7 @@ def new_tape(seen: NDArray[np.uint8], decisions: int) -> Tape:
 
 @part
 def record(tape: Tape, e: int, decisions: int, motion: NDArray[np.float32], reward: float) -> None:
-    """Put what is seen in environment `e` after so many decisions on its tape, if there is room."""
+    """Put what is seen in row `e` after so many decisions on its tape, if there is room."""
     if decisions == 0:
         tape.first[e] = 0
     row = decisions - tape.first[e]

@@ -3,7 +3,6 @@
 from athrl_driving.perception.drivable import LEVEL_HEIGHT, DrivableMap, draw_drivable_map, drivable_grid
 from athrl_driving.perception.lidar import LIDAR_RANGE, RAYS
 from athrl_driving.perception.perception import (
-    CHANNELS,
     Perception,
     draw_images,
     draw_surroundings,
@@ -13,7 +12,6 @@ from athrl_driving.perception.perception import (
 from athrl_driving.perception.window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE
 
 __all__ = [
-    "CHANNELS",
     "EGO_ABOVE_LOWER_EDGE",
     "LEVEL_HEIGHT",
     "LIDAR_RANGE",

@@ -21,9 +21,6 @@ from athrl_driving.perception.window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE, W
 from athrl_driving.route.state import RouteState, environment_route
 from athrl_driving.traffic.state import Traffic, environment_traffic
 
-CHANNELS = ("drivable", "vehicles", "route", "lidar")
-"""What the channels of the image show, in order."""
-
 
 class Perception(NamedTuple):
     """The window, the lidar and the town; the image's size is that of the array it is drawn into."""

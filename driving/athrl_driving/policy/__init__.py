@@ -3,8 +3,9 @@
 Needs `onnxruntime` (`pip install athrl-driving[policy]`) and nothing that trains.
 """
 
-from athrl_driving.policy.batch import BatchStep, EnvironmentBatch, environment_config
-from athrl_driving.policy.exploration import ExplorationNoise
+from athrl_driving.policy.artefact import InvalidPolicy
+from athrl_driving.policy.batch import BatchStep, EnvironmentBatch, config_of, environment_config
+from athrl_driving.policy.exploration import Exploration, ExplorationNoise
 from athrl_driving.policy.guard import (
     AnyBatch,
     EnvironmentFailure,
@@ -12,32 +13,25 @@ from athrl_driving.policy.guard import (
     EnvironmentStalled,
     GuardedBatch,
 )
-from athrl_driving.policy.metadata import (
-    ActionMetadata,
-    InvalidPolicy,
-    LevelMetadata,
-    PolicyMetadata,
-    parse_metadata,
-)
 from athrl_driving.policy.recording import Recording
 from athrl_driving.policy.runner import OnnxPolicy, PolicyStep
+from athrl_driving.policy.towns import spread_towns
 
 __all__ = [
-    "ActionMetadata",
     "AnyBatch",
     "BatchStep",
     "EnvironmentBatch",
     "EnvironmentFailure",
     "EnvironmentRaised",
     "EnvironmentStalled",
+    "Exploration",
     "ExplorationNoise",
     "GuardedBatch",
     "InvalidPolicy",
-    "LevelMetadata",
     "OnnxPolicy",
-    "PolicyMetadata",
     "PolicyStep",
     "Recording",
+    "config_of",
     "environment_config",
-    "parse_metadata",
+    "spread_towns",
 ]

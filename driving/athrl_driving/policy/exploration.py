@@ -1,68 +1,138 @@
-"""Exploration noise of a batch of environments, as the artefact's metadata asks for it.
+"""Exploration of a batch of environments, as a policy's description asks for it.
 
-The Ornstein-Uhlenbeck process is that of tf-agents: `x <- (1 - damping) x + noise_scale N(0, 1)`.
-It is held in half-ranges and scaled to physical units when drawn, so one setting explores every action alike.
+Environments of different rank explore differently much. The noise of a number is held in half-ranges and
+scaled to physical units when it is drawn, so that one setting explores every action alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from athrl_spaces import Continuous, Discrete, LevelDescription, Noise, PolicyDescription, Sampled
+from athrl_spaces.actions import Action
+from numpy.typing import NDArray
 
-from athrl_driving.policy.metadata import LevelMetadata, PolicyMetadata
+
+@dataclass(frozen=True)
+class Exploration:
+    """What one decision of a batch is explored with; both go into `OnnxPolicy.step`.
+
+    Attributes:
+        noise: of each level with a continuous action float32 [batch, n]: physical units, or a standard
+            normal number where the policy samples; 0 for choices.
+        forced: of each level that has something to force float32 [batch, n]: numbers in physical units,
+            choices as their index, NaN where the policy decides.
+    """
+
+    noise: dict[str, NDArray[np.float32]]
+    forced: dict[str, NDArray[np.float32]]
 
 
 class ExplorationNoise:
-    """Noise for each level of a policy, with a memory per environment that an episode's start clears."""
+    """Exploration of each level of a policy.
 
-    def __init__(self, metadata: PolicyMetadata, batch: int, rng: np.random.Generator) -> None:
+    Noise has a memory per environment, which an episode's start clears.
+
+    Args:
+        description: of the policy.
+        ranks: float64 [batch], 0 where an environment explores the least, 1 where the most.
+        rng: the only source of chance.
+    """
+
+    def __init__(
+        self, description: PolicyDescription, ranks: NDArray[np.float64], rng: np.random.Generator
+    ) -> None:
         self._rng = rng
-        self._levels = [_LevelNoise(level, batch) for level in metadata.levels]
+        self._levels = [_LevelExploration(level, ranks) for level in description.levels]
 
     def reset(self, environment: int) -> None:
         """Forget the noise of one environment: its episode begins."""
         for level in self._levels:
             level.memory[environment] = 0
 
-    def draw(self, scale: float = 1.0) -> dict[str, np.ndarray]:
-        """The next decision's noise: float32 [batch, n] of each level, physical units, times `scale`."""
-        return {level.name: level.draw(self._rng, scale) for level in self._levels}
+    def draw(self, scale: float = 1.0) -> Exploration:
+        """Exploration of the next decision: noise, and the probability of random choices, times `scale`."""
+        noise, forced = {}, {}
+        for level in self._levels:
+            if level.is_continuous.any():
+                noise[level.name] = level.draw_noise(self._rng, scale)
+            if not level.is_continuous.all():
+                forced[level.name] = level.draw_choices(self._rng, scale)
+        return Exploration(noise, forced)
+
+    def uniform(self) -> Exploration:
+        """Decisions drawn evenly from everything that is possible; all is forced, there is no noise."""
+        return Exploration({}, {level.name: level.uniform(self._rng) for level in self._levels})
 
     def state(self) -> dict[str, Any]:
-        """What `load_state` goes on from: the generator's state, each level's memory float64 [batch, n]."""
+        """What `load_state` continues from: the generator's state, each level's memory float64 [batch, n]."""
         memory = {level.name: level.memory.copy() for level in self._levels}
         return {"random": self._rng.bit_generator.state, "memory": memory}
 
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from `state()`; the next draws are the same."""
+        """Continue from `state()`: the next draws are the same.
+
+        Raises:
+            KeyError, ValueError: `state` does not fit.
+        """
         self._rng.bit_generator.state = state["random"]
         for level in self._levels:
             level.memory[:] = state["memory"][level.name]
 
-    def uniform(self) -> dict[str, np.ndarray]:
-        """Actions drawn evenly from their whole ranges: float32 [batch, n] of each level, physical units."""
-        return {level.name: level.uniform(self._rng) for level in self._levels}
 
+class _LevelExploration:
+    """Exploration of one level; a sampled number is noise of deviation 1 that forgets everything at once."""
 
-class _LevelNoise:
-    """The noise of one level; a Gaussian action is a process that forgets everything at once."""
-
-    def __init__(self, level: LevelMetadata, batch: int) -> None:
+    def __init__(self, level: LevelDescription, ranks: NDArray[np.float64]) -> None:
         self.name = level.name
+        self.is_continuous = np.array([isinstance(action, Continuous) for action in level.actions])
+        self.memory = np.zeros((len(ranks), level.action_size))
         self._low, self._high = level.low, level.high
-        self.memory = np.zeros((batch, level.action_size), np.float64)
-        self._half_range = level.half_range
-        self._deviation = np.array([action.noise_scale for action in level.actions])
-        self._kept = np.array(
-            [1 - action.damping if action.noise == "ornstein-uhlenbeck" else 0.0 for action in level.actions]
-        )
+        self._choices = np.array([_choices(action) for action in level.actions])
+        self._deviations = np.stack([_deviations(action, ranks) for action in level.actions], axis=1)
+        self._probabilities = np.stack([_probabilities(action, ranks) for action in level.actions], axis=1)
+        self._kept = np.array([_kept(action) for action in level.actions])
+        self._units = np.array([_unit(action) for action in level.actions])
 
-    def uniform(self, rng: np.random.Generator) -> np.ndarray:
-        return rng.uniform(self._low, self._high, self.memory.shape).astype(np.float32)
-
-    def draw(self, rng: np.random.Generator, scale: float) -> np.ndarray:
-        fresh = rng.standard_normal(self.memory.shape) * self._deviation
+    def draw_noise(self, rng: np.random.Generator, scale: float) -> NDArray[np.float32]:
+        fresh = rng.standard_normal(self.memory.shape) * self._deviations
         self.memory = self.memory * self._kept + fresh
-        return (scale * self.memory * self._half_range).astype(np.float32)
+        return (scale * self.memory * self._units).astype(np.float32)
+
+    def draw_choices(self, rng: np.random.Generator, scale: float) -> NDArray[np.float32]:
+        is_random = rng.random(self.memory.shape) < scale * self._probabilities
+        return np.where(is_random, self.uniform(rng), np.float32(np.nan))
+
+    def uniform(self, rng: np.random.Generator) -> NDArray[np.float32]:
+        numbers = rng.uniform(self._low, self._high, self.memory.shape)
+        choices = rng.integers(0, self._choices, self.memory.shape)
+        return np.where(self.is_continuous, numbers, choices).astype(np.float32)
+
+
+def _deviations(action: Action, ranks: NDArray[np.float64]) -> NDArray[np.float64]:
+    if isinstance(action.exploration, Noise):
+        return action.exploration.deviations(ranks)
+    return np.full(len(ranks), 1.0 if isinstance(action.exploration, Sampled) else 0.0)
+
+
+def _probabilities(action: Action, ranks: NDArray[np.float64]) -> NDArray[np.float64]:
+    return action.exploration.probabilities(ranks) if isinstance(action, Discrete) else np.zeros(len(ranks))
+
+
+def _choices(action: Action) -> int:
+    return len(action.choices) if isinstance(action, Discrete) else 1
+
+
+def _kept(action: Action) -> float:
+    """Share of the noise that is left at the next decision."""
+    return 1.0 - action.exploration.damping if isinstance(action.exploration, Noise) else 0.0
+
+
+def _unit(action: Action) -> float:
+    """What a noise of 1 is."""
+    return (
+        action.half_range if isinstance(action.exploration, Noise) and isinstance(action, Continuous) else 1.0
+    )

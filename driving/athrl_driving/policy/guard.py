@@ -7,11 +7,12 @@ does not return within a deadline is abandoned, and a new batch takes its place.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from athrl_driving.compilation import LONGEST_COMPILATION
 from athrl_driving.envs import TownRow
@@ -47,24 +48,30 @@ class EnvironmentStalled(EnvironmentFailure):
 
 
 class GuardedBatch:
-    """An `EnvironmentBatch` that is made anew when it fails.
+    """An `EnvironmentBatch` that is replaced when it fails.
 
-    `images`, `motion`, `recording` and `environments` are those of the present batch: take them anew after a
+    `images`, `motion`, `recording` and `environments` are those of the present batch: take them again after a
     failure.
 
     Args:
-        town: as for `EnvironmentBatch`, like `config` and `count`.
+        towns: as for `EnvironmentBatch`, like `config` and `action_kind`.
         config: of the environments.
-        count: of environments.
+        action_kind: that they take.
         seconds: within which a step or a reset returns; longer where it is the first of its kind.
         recorded: as for `EnvironmentBatch`.
     """
 
     def __init__(
-        self, town: str, config: Mapping[str, Any], count: int, *, seconds: float, recorded: int = 0
+        self,
+        towns: Sequence[str],
+        config: Mapping[str, Any],
+        action_kind: str = "waypoint",
+        *,
+        seconds: float,
+        recorded: int = 0,
     ) -> None:
-        self._make = lambda: EnvironmentBatch(town, config, count, recorded)
-        self._count = count
+        self._make = lambda: EnvironmentBatch(towns, config, action_kind, recorded)
+        self._count = len(towns)
         self._seconds = seconds
         self._worker = _Worker()
         self._compiled: set[str] = set()  # calls that have returned once
@@ -74,12 +81,27 @@ class GuardedBatch:
         return self._count
 
     @property
-    def images(self) -> np.ndarray:
+    def towns(self) -> list[str]:
+        """Of each environment."""
+        return self._batch.towns
+
+    @property
+    def ranks(self) -> NDArray[np.float64]:
+        """float64 [count], evenly from 0 to 1 among the environments of a town."""
+        return self._batch.ranks
+
+    @property
+    def action_kind(self) -> str:
+        """Name of the kind of action that the environments take."""
+        return self._batch.action_kind
+
+    @property
+    def images(self) -> NDArray[np.uint8]:
         """uint8 [count, H, W, C]; changes with every step."""
         return self._batch.images
 
     @property
-    def motion(self) -> np.ndarray:
+    def motion(self) -> NDArray[np.float32]:
         """float32 [count, m]; changes with every step."""
         return self._batch.motion
 
@@ -102,7 +124,7 @@ class GuardedBatch:
         batch = self._batch
         self._guarded(f"reset of environment {row}", lambda: batch.reset(row, seed), [row])
 
-    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> BatchStep:
+    def step(self, actions: NDArray[np.float32], active: NDArray[np.bool_] | None = None) -> BatchStep:
         """Step as `EnvironmentBatch` does; raises EnvironmentFailure."""
         batch, rows = self._batch, list(range(self._count))
         return self._guarded("step", lambda: batch.step(actions, active), rows)

@@ -7,46 +7,45 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from athrl_spaces import Discrete, LevelDescription
+from numpy.typing import NDArray
 
-try:
-    import onnxruntime
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        "a policy runs with onnxruntime, which is not installed: pip install 'athrl-driving[policy]'",
-        name=error.name,
-    ) from None
+from athrl_driving.policy.artefact import InvalidPolicy, open_artefact, takes_noise
 
-from athrl_driving.policy.metadata import InvalidPolicy, LevelMetadata, PolicyMetadata, parse_metadata
-
-METADATA_KEY = "athrl"
 LARGEST_ARTEFACT = 1 << 30  # bytes; beyond this a file is surely not a policy
 
-Arrays = Mapping[str, np.ndarray]
+Arrays = Mapping[str, NDArray[np.float32]]
+"""An array for each level, or for some of them, by the level's name."""
+
+_ROUNDING = 1e-4  # of a range, by which what a graph has clipped may lie beyond
 
 
 @dataclass(frozen=True)
 class PolicyStep:
-    """What a policy decided, per level: actions float32 [batch, n] in physical units, and the next states."""
+    """What a policy decided, and the states to go into its next step.
 
-    actions: dict[str, np.ndarray]
-    states: dict[str, np.ndarray]  # float32 [batch, state]
+    Attributes:
+        actions: of each level float32 [batch, n], physical units, or the index of a choice.
+        states: of each level float32 [batch, state_size].
+    """
+
+    actions: dict[str, NDArray[np.float32]]
+    states: dict[str, NDArray[np.float32]]
 
 
 class OnnxPolicy:
-    """A policy artefact, ready to drive; recurrent states are the caller's, so policies can be switched."""
+    """A policy artefact, ready to drive; recurrent states are the caller's, so policies can be switched.
+
+    Attributes:
+        description: what it sees and decides.
+    """
 
     def __init__(self, artefact: bytes, threads: int = 1) -> None:
         """Take the artefact's bytes; raises InvalidPolicy if they are not a policy."""
-        self._session = _open_session(artefact, threads)
-        properties = self._session.get_modelmeta().custom_metadata_map
-        if METADATA_KEY not in properties:
-            raise InvalidPolicy(
-                f"the ONNX file has no {METADATA_KEY!r} metadata, so it is not a policy of athrl"
-            )
-        self.metadata: PolicyMetadata = parse_metadata(properties[METADATA_KEY])
-        _check_graph(self._session, self.metadata)
-        self._outputs = [level.name for level in self.metadata.levels]
-        self._outputs += [f"next_{level.name}_state" for level in self.metadata.levels]
+        self._session, self.description = open_artefact(artefact, threads)
+        levels = self.description.levels
+        self._outputs = [level.name for level in levels]
+        self._outputs += [f"next_{level.name}_state" for level in levels if level.state_size]
 
     @classmethod
     def load(cls, path: Path | str, threads: int = 1) -> OnnxPolicy:
@@ -61,107 +60,87 @@ class OnnxPolicy:
         except InvalidPolicy as error:
             raise InvalidPolicy(f"{path} is not a policy: {error}") from None
 
-    def initial_states(self, batch: int) -> dict[str, np.ndarray]:
-        """The recurrent states at an episode's start: float32 zeros [batch, state] for each level."""
-        return {level.name: np.zeros((batch, level.state_size), np.float32) for level in self.metadata.levels}
+    def initial_states(self, batch: int) -> dict[str, NDArray[np.float32]]:
+        """The recurrent states at an episode's start: float32 zeros [batch, state_size] for each level."""
+        return {
+            level.name: np.zeros((batch, level.state_size), np.float32) for level in self.description.levels
+        }
 
     def step(
         self,
-        images: np.ndarray,
-        motion: np.ndarray,
+        images: NDArray[np.uint8],
+        motion: NDArray[np.float32],
         states: Arrays,
         noise: Arrays | None = None,
         forced: Arrays | None = None,
     ) -> PolicyStep:
-        """Decide for a batch.
+        """Decide for a batch; a level sees what those above it decided, with its noise or as it was forced.
 
-        `images` uint8 [batch, height, width, channels], `motion` float32 [batch, m]; of each level `states`
-        float32 [batch, state], `noise` float32 [batch, n] in physical units (missing: none) and `forced`
-        float32 [batch, n] (NaN or missing: free). A level sees the actions of the levels above it with their
-        noise. The returned actions lie within their ranges; raises InvalidPolicy if they are not finite.
+        Args:
+            images: uint8 [batch, height, width, channels].
+            motion: float32 [batch, m].
+            states: of each level with memory float32 [batch, state_size].
+            noise: float32 [batch, n] of levels with a continuous action: physical units, or a standard normal
+                number for an action that is sampled; none for a level that is missing.
+            forced: float32 [batch, n] of any level, NaN where it is free; what lies beyond a range is taken
+                as its nearest bound. A level that is missing is free.
+
+        Raises:
+            InvalidPolicy: the policy returned what is not finite or beyond its ranges.
         """
         feed = self._feed(images, motion, states, noise or {}, forced or {})
-        values = self._session.run(self._outputs, feed)
-        if not all(np.isfinite(value).all() for value in values):
-            raise InvalidPolicy("the policy returned values that are not finite; its training has diverged")
-        count = len(self.metadata.levels)
-        names = self._outputs[:count]
-        actions = dict(zip(names, values[:count], strict=True))
-        last = self.metadata.acting_level
-        actions[last.name] = _explore(last, actions[last.name], noise or {}, forced or {})
-        return PolicyStep(actions=actions, states=dict(zip(names, values[count:], strict=True)))
+        values = dict(zip(self._outputs, self._session.run(self._outputs, feed), strict=True))
+        actions, following = {}, {}
+        for level in self.description.levels:
+            actions[level.name] = values[level.name]
+            _check_actions(level, values[level.name])
+            if level.state_size:
+                following[level.name] = values[f"next_{level.name}_state"]
+                _check_finite(following[level.name])
+            else:
+                following[level.name] = np.zeros((len(images), 0), np.float32)
+        return PolicyStep(actions=actions, states=following)
 
     def _feed(
-        self, images: np.ndarray, motion: np.ndarray, states: Arrays, noise: Arrays, forced: Arrays
-    ) -> dict[str, np.ndarray]:
-        batch = len(images)
-        feed = {"image": images, "motion": motion}
-        for level in self.metadata.levels:
-            feed[f"{level.name}_state"] = states[level.name]
-        for level in self.metadata.levels[:-1]:
-            shape = (batch, level.action_size)
-            quiet, free = np.zeros(shape, np.float32), np.full(shape, np.nan, np.float32)
-            feed[f"{level.name}_noise"] = noise.get(level.name, quiet)
-            feed[f"forced_{level.name}"] = forced.get(level.name, free)
+        self,
+        images: NDArray[np.uint8],
+        motion: NDArray[np.float32],
+        states: Arrays,
+        noise: Arrays,
+        forced: Arrays,
+    ) -> dict[str, NDArray]:
+        feed: dict[str, NDArray] = {"image": images, "motion": motion}
+        for level in self.description.levels:
+            name, shape = level.name, (len(images), level.action_size)
+            if level.state_size:
+                feed[f"{name}_state"] = states[name]
+            if takes_noise(level):
+                feed[f"{name}_noise"] = noise[name] if name in noise else np.zeros(shape, np.float32)
+            if name in forced:
+                feed[f"forced_{name}"] = np.clip(forced[name], level.low, level.high)
+            else:
+                feed[f"forced_{name}"] = np.full(shape, np.nan, np.float32)
         return feed
 
 
-def _explore(level: LevelMetadata, actions: np.ndarray, noise: Arrays, forced: Arrays) -> np.ndarray:
-    """The acting level's actions with its noise; nothing in the graph needs it, so it is added outside."""
-    if level.name in noise:
-        actions = actions + noise[level.name]
-    if level.name in forced:
-        actions = np.where(np.isnan(forced[level.name]), actions, forced[level.name])
-    return np.clip(actions, level.low, level.high).astype(np.float32)
+def _check_finite(values: NDArray[np.float32]) -> None:
+    if not np.isfinite(values).all():
+        raise InvalidPolicy("the policy returned values that are not finite; its training has diverged")
 
 
-def _open_session(artefact: bytes, threads: int) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # a broken file is told by the exception, once
-    try:
-        return onnxruntime.InferenceSession(artefact, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime's exceptions have no common base but Exception
-        reason = str(error).split("\n")[0][:200]
-        raise InvalidPolicy(f"ONNX Runtime cannot open it ({reason})") from None
-
-
-def _check_graph(session: onnxruntime.InferenceSession, metadata: PolicyMetadata) -> None:
-    """The graph must have just the inputs and outputs that the metadata speaks of."""
-    inputs: dict[str, tuple[str, tuple[int, ...]]] = {
-        "image": ("tensor(uint8)", metadata.image_shape),
-        "motion": ("tensor(float)", (len(metadata.motion),)),
-    }
-    outputs: dict[str, tuple[str, tuple[int, ...]]] = {}
-    for level in metadata.levels:
-        inputs[f"{level.name}_state"] = ("tensor(float)", (level.state_size,))
-        outputs[level.name] = ("tensor(float)", (level.action_size,))
-        outputs[f"next_{level.name}_state"] = ("tensor(float)", (level.state_size,))
-    for level in metadata.levels[:-1]:
-        inputs[f"{level.name}_noise"] = ("tensor(float)", (level.action_size,))
-        inputs[f"forced_{level.name}"] = ("tensor(float)", (level.action_size,))
-    _check_tensors("input", session.get_inputs(), inputs)
-    _check_tensors("output", session.get_outputs(), outputs)
-
-
-def _check_tensors(
-    kind: str, tensors: list[onnxruntime.NodeArg], expected: dict[str, tuple[str, tuple[int, ...]]]
-) -> None:
-    found = {tensor.name: tensor for tensor in tensors}
-    if set(found) != set(expected):
-        raise InvalidPolicy(
-            f"its {kind}s are {', '.join(sorted(found))}; they should be {', '.join(sorted(expected))}"
-        )
-    for name, (dtype, shape) in expected.items():
-        tensor = found[name]
-        sizes = tuple(tensor.shape[1:])
-        unknown = [not isinstance(size, int) for size in sizes]
-        fits = len(sizes) == len(shape) and all(
-            skip or size == wanted for skip, size, wanted in zip(unknown, sizes, shape, strict=True)
-        )
-        if tensor.type != dtype or not fits:
+def _check_actions(level: LevelDescription, values: NDArray[np.float32]) -> None:
+    """Refuse what the level cannot have decided."""
+    _check_finite(values)
+    room = _ROUNDING * (level.high - level.low)
+    within = (values >= level.low - room) & (values <= level.high + room)
+    for column, action in enumerate(level.actions):
+        fits = within[:, column]
+        if isinstance(action, Discrete):
+            fits = fits & (values[:, column] == np.rint(values[:, column]))
+        if not fits.all():
+            low, high = action.bounds
+            what = f"a whole number from {low:g}" if isinstance(action, Discrete) else f"from {low:g}"
+            wrong = float(values[int(np.argmin(fits)), column])
             raise InvalidPolicy(
-                f"its {kind} {name!r} is {tensor.type} {list(tensor.shape)}; it should be {dtype} [batch, "
-                f"{', '.join(str(size) for size in shape)}]"
+                f"the policy decided {action.name} as {wrong:g}; it should be {what} to {high:g}"
             )
