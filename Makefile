@@ -8,7 +8,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 ROOMS := spaces protocol driving planners services/actor services/learner services/evaluator athrl
-RUN_FILE ?= town03.toml
+RUN_FILE ?= presets/default.toml
 PYTEST_ARGS ?=
 
 .PHONY: help install train test lint format images clean

@@ -262,7 +262,14 @@ class Evaluation(_message.Message):
     def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., driver: _Optional[str] = ..., policy_version: _Optional[int] = ..., environment_steps: _Optional[int] = ..., town: _Optional[str] = ..., seed: _Optional[int] = ..., scores: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("schema_version", "schema_hash", "driver", "town", "policy_version", "episode_seed", "step", "time", "ego", "vehicles", "route", "waypoint", "target_speed", "intention", "steering", "acceleration", "reward", "reward_terms", "episode_return", "image_height", "image_width", "birdeye", "lidar")
+    __slots__ = ("schema_version", "schema_hash", "driver", "town", "policy_version", "episode_seed", "step", "time", "ego", "vehicles", "route", "waypoint", "target_speed", "decision", "steering", "acceleration", "reward", "reward_terms", "episode_return", "image_height", "image_width", "birdeye", "lidar")
+    class DecisionEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     class RewardTermsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -283,7 +290,7 @@ class Frame(_message.Message):
     ROUTE_FIELD_NUMBER: _ClassVar[int]
     WAYPOINT_FIELD_NUMBER: _ClassVar[int]
     TARGET_SPEED_FIELD_NUMBER: _ClassVar[int]
-    INTENTION_FIELD_NUMBER: _ClassVar[int]
+    DECISION_FIELD_NUMBER: _ClassVar[int]
     STEERING_FIELD_NUMBER: _ClassVar[int]
     ACCELERATION_FIELD_NUMBER: _ClassVar[int]
     REWARD_FIELD_NUMBER: _ClassVar[int]
@@ -306,7 +313,7 @@ class Frame(_message.Message):
     route: _containers.RepeatedCompositeFieldContainer[Point]
     waypoint: Point
     target_speed: float
-    intention: float
+    decision: _containers.ScalarMap[str, float]
     steering: float
     acceleration: float
     reward: float
@@ -316,7 +323,7 @@ class Frame(_message.Message):
     image_width: int
     birdeye: bytes
     lidar: bytes
-    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., driver: _Optional[str] = ..., town: _Optional[str] = ..., policy_version: _Optional[int] = ..., episode_seed: _Optional[int] = ..., step: _Optional[int] = ..., time: _Optional[float] = ..., ego: _Optional[_Union[Vehicle, _Mapping]] = ..., vehicles: _Optional[_Iterable[_Union[Vehicle, _Mapping]]] = ..., route: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., waypoint: _Optional[_Union[Point, _Mapping]] = ..., target_speed: _Optional[float] = ..., intention: _Optional[float] = ..., steering: _Optional[float] = ..., acceleration: _Optional[float] = ..., reward: _Optional[float] = ..., reward_terms: _Optional[_Mapping[str, float]] = ..., episode_return: _Optional[float] = ..., image_height: _Optional[int] = ..., image_width: _Optional[int] = ..., birdeye: _Optional[bytes] = ..., lidar: _Optional[bytes] = ...) -> None: ...
+    def __init__(self, schema_version: _Optional[int] = ..., schema_hash: _Optional[int] = ..., driver: _Optional[str] = ..., town: _Optional[str] = ..., policy_version: _Optional[int] = ..., episode_seed: _Optional[int] = ..., step: _Optional[int] = ..., time: _Optional[float] = ..., ego: _Optional[_Union[Vehicle, _Mapping]] = ..., vehicles: _Optional[_Iterable[_Union[Vehicle, _Mapping]]] = ..., route: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., waypoint: _Optional[_Union[Point, _Mapping]] = ..., target_speed: _Optional[float] = ..., decision: _Optional[_Mapping[str, float]] = ..., steering: _Optional[float] = ..., acceleration: _Optional[float] = ..., reward: _Optional[float] = ..., reward_terms: _Optional[_Mapping[str, float]] = ..., episode_return: _Optional[float] = ..., image_height: _Optional[int] = ..., image_width: _Optional[int] = ..., birdeye: _Optional[bytes] = ..., lidar: _Optional[bytes] = ...) -> None: ...
 
 class Point(_message.Message):
     __slots__ = ("x", "y")

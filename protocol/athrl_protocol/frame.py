@@ -12,6 +12,9 @@ from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.limits import LARGEST_FRAME
 from athrl_protocol.schema import check_numbers, check_text, decode_message, encode_message
 
+MOST_DECIDED = 256
+"""Numbers and choices that a planner decides at once."""
+
 __all__ = ["Frame", "Point", "Scene", "Vehicle", "decode_frame", "encode_frame", "frame_of"]
 
 
@@ -35,12 +38,12 @@ class Scene(Protocol):
         """float64 [waypoints, 2]"""
 
     @property
-    def waypoint(self) -> np.ndarray:
-        """float64 [2], the planner's"""
+    def waypoint(self) -> np.ndarray | None:
+        """float64 [2], the planner's; None where it decides none"""
 
     @property
     def target_speed(self) -> float:
-        """m/s"""
+        """m/s; NaN where the planner decides none"""
 
     @property
     def steering(self) -> float:
@@ -64,11 +67,24 @@ def frame_of(
     policy_version: int,
     episode_seed: int,
     step: int,
-    intention: float,
+    decision: Mapping[str, float],
     reward: float,
     episode_return: float,
 ) -> Frame:
-    """Describe a moment; `image` uint8 [height, width, 4] is what the planner sees of it."""
+    """Describe a moment.
+
+    Args:
+        scene: the simulation.
+        image: uint8 [height, width, 4], what the planner sees of it.
+        driver: policy, random, blind or rule-based.
+        town: where it drives.
+        policy_version: version of the policy, 0 for other drivers.
+        episode_seed: seed with which the episode was reset.
+        step: decision of the episode, from 0.
+        decision: everything that was decided by name, physical units or a choice's index; may be empty.
+        reward: of this decision.
+        episode_return: sum of the rewards so far.
+    """
     height, width = image.shape[:2]
     return Frame(
         driver=driver,
@@ -80,9 +96,9 @@ def frame_of(
         ego=Vehicle(**vars(scene.ego)),
         vehicles=[Vehicle(**vars(vehicle)) for vehicle in scene.vehicles],
         route=[Point(x=x, y=y) for x, y in scene.route.tolist()],
-        waypoint=Point(x=float(scene.waypoint[0]), y=float(scene.waypoint[1])),
+        waypoint=None if scene.waypoint is None else Point(x=scene.waypoint[0], y=scene.waypoint[1]),
         target_speed=scene.target_speed,
-        intention=intention,
+        decision=decision,
         steering=scene.steering,
         acceleration=scene.acceleration,
         reward=reward,
@@ -109,6 +125,7 @@ def decode_frame(payload: bytes) -> Frame:
     """
     frame = decode_message(Frame, payload, largest=LARGEST_FRAME)
     check_numbers("frame", frame.reward_terms)
+    check_numbers("frame", frame.decision, most=MOST_DECIDED)
     for kind, text in (("driver", frame.driver), ("town", frame.town)):
         check_text("frame", kind, text)
     pixels = frame.image_height * frame.image_width

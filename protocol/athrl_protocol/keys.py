@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import re
 import time
 from dataclasses import dataclass
@@ -20,6 +21,14 @@ def check_name(kind: str, name: str) -> str:
             f"{kind} {name!r} cannot be used: letters, digits, '.', '_' and '-' only, a letter or digit first"
         )
     return name
+
+
+def name_of_town(town: str) -> str:
+    """Return what stands for a town in a key: its name, or of a map's path the end and a hash."""
+    if _NAME.fullmatch(town) is not None:
+        return town
+    end = re.sub(r"[^A-Za-z0-9_.-]", "_", town.rpartition("/")[2])[-64:]
+    return f"map-{hashlib.sha256(town.encode(errors='surrogatepass')).hexdigest()[:12]}-{end}"
 
 
 def new_incarnation() -> int:
@@ -59,9 +68,10 @@ class Keys:
         """The state of the run."""
         return f"{self._root}/state"
 
-    def evaluation(self, name: str, driver: str) -> str:
-        """Results of one driver, scored by the evaluator `name`."""
-        return f"{self._root}/evaluation/{check_name('name', name)}/{check_name('driver', driver)}"
+    def evaluation(self, name: str, driver: str, town: str) -> str:
+        """Results of one driver in one town, scored by the evaluator `name`."""
+        who = f"{check_name('name', name)}/{check_name('driver', driver)}"
+        return f"{self._root}/evaluation/{who}/{name_of_town(town)}"
 
     def experience(self, actor: str) -> str:
         """Where the actor's chunks go."""
@@ -93,8 +103,8 @@ class Keys:
 
     @property
     def every_evaluation(self) -> str:
-        """Matches the results of every driver."""
-        return f"{self._root}/evaluation/*/*"
+        """Matches the results of every driver in every town."""
+        return f"{self._root}/evaluation/*/*/*"
 
     @property
     def every_experience(self) -> str:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from athrl_protocol.chunk import MAXIMUM_LEVELS
+from athrl_spaces.policy import LARGEST_STATE
+
 from athrl_protocol.keys import Keys
 from athrl_protocol.run_file import RunFile
 
@@ -23,6 +24,8 @@ LARGEST_NUMBERS = 256 * KIBIBYTE
 """Metrics or scores of one service."""
 MOST_CHANNELS = 16
 """Of an image, whatever the planner perceives; four today."""
+LARGEST_STATES = 4 * LARGEST_STATE
+"""Bytes of the recurrent states of all levels together before one step, whatever the planner."""
 LARGEST_FRAME = 4 * MEBIBYTE
 LARGEST_QUESTION = 4 * KIBIBYTE
 """A query that asks for a value; it has no content."""
@@ -32,7 +35,7 @@ def largest_chunk_of(run_file: RunFile) -> int:
     """Return bytes that no chunk of a run exceeds, with some to spare."""
     sequences = run_file.longest_chunk // run_file.replay.sequence_length
     pixels = (run_file.longest_chunk + 1) * run_file.environment.image_size**2
-    states = 4 * 2 * run_file.planner.recurrent_features * MAXIMUM_LEVELS * sequences
+    states = LARGEST_STATES * sequences
     return min(LARGEST_CHUNK, pixels * MOST_CHANNELS + states + 256 * KIBIBYTE)
 
 

@@ -96,9 +96,9 @@ def check_text(kind: str, field: str, text: str, longest: int = LONGEST_NAME) ->
         raise InvalidMessage("value", f"{kind}: {field} is no text of at most {longest} characters")
 
 
-def check_numbers(kind: str, values: Mapping[str, float]) -> None:
+def check_numbers(kind: str, values: Mapping[str, float], most: int = MOST_NUMBERS) -> None:
     """Raise InvalidMessage unless there are not too many values and each name can be shown."""
-    if len(values) > MOST_NUMBERS:
-        raise InvalidMessage("size", f"{kind}: {len(values)} values, at most {MOST_NUMBERS}")
+    if len(values) > most:
+        raise InvalidMessage("size", f"{kind}: {len(values)} values, at most {most}")
     for name in values:
         check_text(kind, "a name", name)

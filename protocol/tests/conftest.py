@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import zenoh
 from athrl_protocol import Chunk, LevelColumns, open_session
+from athrl_protocol.run_file import declare_planners, declared_planners
 
 # Far longer than anything here takes on a busy machine; a wait ends as soon as what it waits for is there.
 PATIENCE = 30.0
@@ -21,6 +22,15 @@ def free_address() -> str:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture(autouse=True)
+def no_planners() -> Iterator[None]:
+    """Nobody has declared planners, and what a test declares is gone after it."""
+    before = declared_planners()
+    declare_planners({})
+    yield
+    declare_planners(before)
 
 
 @pytest.fixture

@@ -280,6 +280,21 @@ def test_latecomer_gets_the_newest_result_of_every_driver(
     assert all(result == results[result.driver, result.policy_version] for result in seen)
 
 
+def test_latecomer_gets_the_newest_result_of_every_town(
+    listen: Open, connect: Open, eventually: Eventually
+) -> None:
+    listen()
+    towns = ("town03", "town04", "maps/a b.xodr", "other/a b.xodr", "a_b.xodr", "ä" * 200 + ".xodr")
+    seen: list[EvaluationResult] = []
+    with EvaluationPublisher(connect(), RUN) as publisher:
+        for version in (1, 2):
+            for town in towns:
+                publisher.publish(EvaluationResult("policy", version, 100, town, 7, {"return_mean": 1.0}))
+        with EvaluationSubscriber(connect(), RUN, seen.append):
+            eventually(lambda: len(seen) == len(towns))
+    assert {(result.town, result.policy_version) for result in seen} == {(town, 2) for town in towns}
+
+
 def test_two_evaluators_do_not_silence_each_other(
     listen: Open, connect: Open, eventually: Eventually
 ) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import zenoh
 from athrl_protocol import (
@@ -29,6 +32,7 @@ from athrl_protocol import (
     joining,
     subscribe_frames,
 )
+from athrl_protocol.frame import frame_of
 from athrl_protocol.keys import role_and_name_of
 from athrl_protocol.presence import PresenceGlance
 
@@ -123,6 +127,7 @@ def _frame(step: int) -> Frame:
         step=step,
         ego=Vehicle(x=1, y=2, heading=0.5, speed=7, length=5, width=2),
         route=[Point(x=1, y=2), Point(x=3, y=4)],
+        decision={"target_speed": 4.5, "waypoint": 3.0},
         reward_terms={"speed": 1.5},
         image_height=2,
         image_width=2,
@@ -146,6 +151,7 @@ def test_frames_flow_only_while_somebody_watches(listen: Open, connect: Open, ev
             eventually(lambda: not publisher.watched)
     assert [frame.step for frame in frames] == [0, 1]
     assert frames[0].route[1].y == 4
+    assert dict(frames[0].decision) == {"target_speed": 4.5, "waypoint": 3.0}
 
 
 def test_watcher_of_another_service_gets_nothing(listen: Open, connect: Open, eventually: Eventually) -> None:
@@ -165,6 +171,68 @@ def test_frame_with_images_of_another_size_is_refused() -> None:
     frame.birdeye = bytes(11)
     with pytest.raises(InvalidMessage, match="birdeye has 11 bytes, should have 12"):
         decode_frame(encode_frame(frame))
+
+
+def _frame_of(decision: dict[str, float], **changes: object) -> Frame:
+    """The frame of a moment with this decision, as it arrives; `changes` are the scene's."""
+    nobody = SimpleNamespace(x=0.0, y=0.0, heading=0.0, speed=0.0, length=5.0, width=2.0)
+    moment = {
+        "time": 0.4,
+        "ego": nobody,
+        "vehicles": [nobody],
+        "route": np.zeros((2, 2)),
+        "waypoint": np.ones(2),
+        "target_speed": 3.0,
+        "steering": 0.0,
+        "acceleration": 0.0,
+        "reward_terms": {"speed": 1.0},
+    }
+    frame = frame_of(
+        SimpleNamespace(**{**moment, **changes}),
+        np.zeros((8, 8, 4), np.uint8),
+        driver="policy",
+        town="town03",
+        policy_version=1,
+        episode_seed=2,
+        step=0,
+        decision=decision,
+        reward=1.0,
+        episode_return=1.0,
+    )
+    return decode_frame(encode_frame(frame))
+
+
+def test_frame_of_a_moment_holds_what_was_decided_by_name() -> None:
+    for decision in ({}, {"intention": 2.0, "target_speed": 3.0, "waypoint_angle": -0.1}):
+        frame = _frame_of(decision)
+        assert dict(frame.decision) == decision
+        assert (frame.waypoint.x, frame.waypoint.y, frame.target_speed) == (1.0, 1.0, 3.0)
+
+
+def test_frame_of_a_planner_that_decides_no_waypoint_has_none() -> None:
+    decision = {"acceleration": 1.5, "steering": -0.1}
+    frame = _frame_of(decision, waypoint=None, target_speed=math.nan)
+    assert not frame.HasField("waypoint")
+    assert math.isnan(frame.target_speed)
+    assert dict(frame.decision) == decision
+
+
+@pytest.mark.parametrize(
+    ("decision", "reason"),
+    [
+        ({str(number): 0.0 for number in range(257)}, "size"),
+        ({"a" * 257: 0.0}, "value"),
+        ({"a\nb": 0.0}, "value"),
+    ],
+)
+def test_frame_with_a_decision_that_cannot_be_shown_is_refused(
+    decision: dict[str, float], reason: str
+) -> None:
+    frame = _frame(3)
+    frame.decision.update(decision)
+    with pytest.raises(InvalidMessage) as caught:
+        decode_frame(encode_frame(frame))
+    assert caught.value.reason == reason
 
 
 def test_who_joins_is_told_of_the_learner_and_of_namesakes_only(

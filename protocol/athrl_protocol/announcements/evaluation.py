@@ -1,4 +1,4 @@
-"""Results of evaluations: each evaluator to all; of each driver a latecomer gets the newest."""
+"""Results of evaluations: each evaluator to all; of each driver in each town a latecomer gets the newest."""
 
 from __future__ import annotations
 
@@ -77,14 +77,15 @@ class EvaluationPublisher(Closing):
         self._session = session
         self._keys = Keys(run)
         self._name = name
-        self._publishers: dict[str, TypedPublisher[EvaluationResult]] = {}
+        self._publishers: dict[tuple[str, str], TypedPublisher[EvaluationResult]] = {}
 
     def publish(self, result: EvaluationResult) -> None:
-        """Make `result` the newest of its driver and send it to all."""
-        if result.driver not in self._publishers:
-            key = self._keys.evaluation(self._name, result.driver)
-            self._publishers[result.driver] = TypedPublisher(self._session, key, _encode)
-        self._publishers[result.driver].publish(result)
+        """Make `result` the newest of its driver in its town and send it to all."""
+        which = result.driver, result.town
+        if which not in self._publishers:
+            key = self._keys.evaluation(self._name, *which)
+            self._publishers[which] = TypedPublisher(self._session, key, _encode)
+        self._publishers[which].publish(result)
 
     def close(self) -> None:
         """Stop publishing; latecomers get no answer any more."""

@@ -1,7 +1,15 @@
 """The run file: what a run is to do, with every default in one place."""
 
-from athrl_protocol.run_file.documentation import Setting, default_toml, settings, to_toml
+from athrl_protocol.run_file.documentation import (
+    Setting,
+    default_toml,
+    planner_settings,
+    settings,
+    to_toml,
+)
+from athrl_protocol.run_file.planner_tables import PlannerSection, declare_planners, declared_planners
 from athrl_protocol.run_file.reading import read_run_file
+from athrl_protocol.run_file.reference import reference_page
 from athrl_protocol.run_file.root import RunFile
 from athrl_protocol.run_file.sections import (
     ActorSection,
@@ -10,7 +18,6 @@ from athrl_protocol.run_file.sections import (
     ExplorationSection,
     LearnerSection,
     NetworkSection,
-    PlannerSection,
     ReplaySection,
     RunSection,
     SerialSection,
@@ -29,8 +36,12 @@ __all__ = [
     "RunSection",
     "SerialSection",
     "Setting",
+    "declare_planners",
+    "declared_planners",
     "default_toml",
+    "planner_settings",
     "read_run_file",
+    "reference_page",
     "settings",
     "to_toml",
 ]

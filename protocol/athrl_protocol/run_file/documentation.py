@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
+from athrl_protocol.run_file.planner_tables import declared_planners, default_kind
 from athrl_protocol.run_file.root import RunFile
-from athrl_protocol.run_file.sections import Section
+from athrl_protocol.run_file.section import Section
+from athrl_protocol.run_file.toml_values import choice, to_toml_value
 
 _TYPES = {int: "integer", float: "number", str: "text", bool: "true or false"}
 _BOUNDS = (("ge", ">="), ("gt", ">"), ("le", "<="), ("lt", "<"))
@@ -30,7 +31,7 @@ class Setting:
 
     section: str
     key: str
-    default: int | float | str | bool
+    default: Any
     expected: str
     description: str
 
@@ -39,15 +40,70 @@ class Setting:
         """Dotted name, as `--set` takes it."""
         return f"{self.section}.{self.key}"
 
+    @property
+    def comment(self) -> str:
+        """What it means and what it may be, in one line."""
+        return f"{self.description} ({self.expected})"
+
+
+def sections() -> dict[str, type[Section]]:
+    """Return the sections of a run file in their order."""
+    return {name: type(section) for name, section in RunFile() if isinstance(section, Section)}
+
+
+def settings(kind: str | None = None) -> Iterator[Setting]:
+    """Yield every setting of a run whose planner is of that kind, in the order of the run file.
+
+    None stands for the default kind. Of a kind that was not declared nothing but its name is known.
+    """
+    for section_name, section in sections().items():
+        if section_name == "planner":
+            yield _kind_setting()
+            yield from planner_settings(default_kind() if kind is None else kind)
+        else:
+            for key, field in section.model_fields.items():
+                yield _setting(section_name, key, field)
+
+
+def planner_settings(kind: str) -> Iterator[Setting]:
+    """Yield the settings of planners of that kind; none if it was not declared."""
+    table = declared_planners().get(kind)
+    for key, field in table.model_fields.items() if table is not None else ():
+        yield _setting("planner", key, field)
+
+
+def planner_meaning(kind: str) -> str:
+    """Return what a declared kind of planner is, in one line without a full stop; it may be empty."""
+    lines = (declared_planners()[kind].__doc__ or "").strip().splitlines()
+    return lines[0].strip().rstrip(".") if lines else ""
+
+
+def _kind_setting() -> Setting:
+    kinds = list(declared_planners())
+    meanings = ", ".join(f"{kind} ({planner_meaning(kind)})" for kind in kinds if planner_meaning(kind))
+    return Setting(
+        section="planner",
+        key="kind",
+        default=default_kind(),
+        expected=choice(kinds) if kinds else "text",
+        description=f"The kind of planner: {meanings}." if meanings else "The kind of planner.",
+    )
+
+
+def _setting(section: str, key: str, field: FieldInfo) -> Setting:
+    default = field.get_default(call_default_factory=True, validated_data={})
+    return Setting(section, key, default, _expected(field), field.description or "")
+
 
 def _number(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:g}"
+    return f"{value:.0f}" if float(value).is_integer() and abs(value) < 1e12 else f"{value:g}"
 
 
 def _expected(field: FieldInfo) -> str:
+    if isinstance(field.json_schema_extra, dict) and "expected" in field.json_schema_extra:
+        return str(field.json_schema_extra["expected"])
     if get_origin(field.annotation) is Literal:
-        choices = [to_toml_value(choice) for choice in get_args(field.annotation)]
-        return choices[0] if len(choices) == 1 else f"{', '.join(choices[:-1])} or {choices[-1]}"
+        return choice(get_args(field.annotation))
     words = [name for kind, name in _TYPES.items() if field.annotation is kind]
     for constraint in field.metadata:
         words += [
@@ -58,43 +114,26 @@ def _expected(field: FieldInfo) -> str:
     return ", ".join(words)
 
 
-def sections() -> dict[str, type[Section]]:
-    """Return the sections of a run file in their order."""
-    return {name: type(section) for name, section in RunFile() if isinstance(section, Section)}
-
-
-def settings() -> Iterator[Setting]:
-    """Yield every setting in the order of the run file."""
-    for section_name, section in sections().items():
-        for key, field in section.model_fields.items():
-            yield Setting(section_name, key, field.default, _expected(field), field.description or "")
-
-
-def to_toml_value(value: Any) -> str:
-    """Return a number, text or truth value as TOML."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return repr(value)
-
-
 def to_toml(run_file: RunFile) -> str:
-    """Return a run file as TOML, every setting under a comment with its meaning, type and bounds."""
+    """Return a run file as TOML, every setting under a comment with its meaning, type and bounds.
+
+    Settings of a planner whose kind was not declared have no comment.
+    """
     lines = [
         "# A run of athrl. Every setting may be left out and then has the value that is given here;",
         "# on the command line: --set learner.batch=64",
     ]
+    comments = {setting.name: setting.comment for setting in settings(run_file.planner.kind)}
     values = run_file.model_dump()
     for section_name, section in sections().items():
         lines += ["", f"# {(section.__doc__ or '').strip()}", f"[{section_name}]"]
-        for setting in settings():
-            if setting.section == section_name:
-                lines.append(f"# {setting.description} ({setting.expected})")
-                lines.append(f"{setting.key} = {to_toml_value(values[section_name][setting.key])}")
+        for key, value in values[section_name].items():
+            if f"{section_name}.{key}" in comments:
+                lines.append(f"# {comments[f'{section_name}.{key}']}")
+            lines.append(f"{key} = {to_toml_value(value)}")
     return "\n".join(lines) + "\n"
 
 
-def default_toml() -> str:
-    """Return the documented default run file."""
-    return to_toml(RunFile())
+def default_toml(kind: str | None = None) -> str:
+    """Return the documented default run file, for a planner of that kind or of the default one."""
+    return to_toml(RunFile.model_validate({} if kind is None else {"planner": {"kind": kind}}))

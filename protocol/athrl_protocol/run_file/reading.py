@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
+import re
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,42 +13,88 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from athrl_protocol.errors import RunFileError
-from athrl_protocol.run_file.documentation import sections, settings, to_toml_value
+from athrl_protocol.run_file.documentation import Setting, settings
+from athrl_protocol.run_file.names import KnownNames, one_line, show
+from athrl_protocol.run_file.planner_tables import (
+    default_kind,
+    left_out_for_another_kind,
+    what_is_wrong_with_kind,
+)
 from athrl_protocol.run_file.root import RunFile
+from athrl_protocol.run_file.toml_values import to_toml_value
+
+
+@dataclass(frozen=True)
+class _Override:
+    """A setting from the command line: its name, its value, and how it was written, in one line."""
+
+    name: str
+    value: Any
+    text: str
+
+    @property
+    def place(self) -> str:
+        return f"--set {self.text}"
 
 
 def read_run_file(
-    path: str | Path | None, overrides: Sequence[str] = (), *, complete: bool = False
+    path: str | Path | None,
+    overrides: Sequence[str] = (),
+    *,
+    complete: bool = False,
+    training: bool = True,
 ) -> RunFile:
     """Read and validate a run file.
 
     Args:
         path: a TOML file; None for the defaults.
-        overrides: `section.key=value` with a TOML value; text needs no quotes. The last one counts.
+        overrides: `section.key=value` with a TOML value; text needs no quotes. The last one counts. With
+            another `planner.kind` the file's settings that this kind lacks are left out where they have
+            their default.
         complete: whether every setting has to be there, as in the file that a run was started with.
+        training: whether somebody is to train by it. For driving alone settings of training need not fit
+            each other: episodes, for instance, may be shorter than a sequence.
 
     Raises:
         RunFileError: one line with the file or override, the key, its value and what it should be.
     """
+    source = str(path) if path is not None else "run file"
     values = _read_toml(Path(path)) if path is not None else {}
     if complete:
-        _require_every_setting(values, str(path))
-    overridden: dict[str, str] = {}
-    for override in overrides:
-        name, value = _parse_override(override)
-        _set(values, name, value, override)
-        overridden[name] = _one_line(override)
-    source = str(path) if path is not None else "run file"
-    _check_names(values, source)
+        _require_every_setting(values, source)
+    parsed = [_parse_override(override) for override in overrides]
+    _leave_out_for_another_kind(values, parsed)
+    for override in parsed:
+        _set(values, override)
+    overridden = {override.name: override for override in parsed}
+    kind = _planner_kind(values, source, overridden)
+    names = KnownNames(kind)
+    for override in parsed:
+        names.check_setting(override.name, override.place)
+    names.check_tables(values, source)
     try:
-        return RunFile.model_validate(values)
+        return RunFile.model_validate(values, context={"training": training})
     except ValidationError as error:
-        raise RunFileError(_describe(error, source, overridden)) from None
+        raise RunFileError(_describe(error, kind, source, overridden)) from None
+
+
+def _planner_kind(values: dict[str, Any], source: str, overridden: Mapping[str, _Override]) -> str:
+    """Return the kind of planner: which other names there are depends on it."""
+    table = values.get("planner")
+    if not isinstance(table, dict) or "kind" not in table:
+        return default_kind()
+    kind = table["kind"]
+    wrong = what_is_wrong_with_kind(kind)
+    if wrong is not None:
+        override = overridden.get("planner.kind")
+        place = override.place if override else f"{source}: planner.kind = {show(kind)}"
+        raise RunFileError(f"{place}: {wrong}")
+    return str(kind)
 
 
 def _require_every_setting(values: dict[str, Any], source: str) -> None:
     """A file that was cut off is still TOML; with defaults for what it lost it would be another run."""
-    for setting in settings():
+    for setting in settings(_planner_kind(values, source, {})):
         table = values.get(setting.section)
         if not isinstance(table, dict) or setting.key not in table:
             raise RunFileError(
@@ -64,20 +111,18 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise RunFileError(f"{path}: is not a TOML file, which is UTF-8 text") from None
     except tomllib.TOMLDecodeError as error:
-        raise RunFileError(f"{path}: is not TOML: {_one_line(str(error))}") from None
+        raise RunFileError(f"{path}: is not TOML: {one_line(str(error))}") from None
 
 
-def _parse_override(override: str) -> tuple[str, Any]:
-    name, equals, text = override.partition("=")
-    name, override = name.strip(), _one_line(override)
+def _parse_override(text: str) -> _Override:
+    name, equals, value = text.partition("=")
+    name, text = name.strip(), one_line(text)
+    section, _, key = name.partition(".")
     if not equals or not name:
-        raise RunFileError(
-            f"--set {override}: should look like section.key=value, for instance learner.batch=64"
-        )
-    known = {setting.name for setting in settings()}
-    if name not in known:
-        raise RunFileError(f"--set {override}: {name} is no setting{_suggestion(name, known)}")
-    return name, _parse_value(text.strip())
+        raise RunFileError(f"--set {text}: should look like section.key=value, for instance learner.batch=64")
+    if not section or not key:
+        KnownNames(default_kind()).check_setting(name, f"--set {text}")
+    return _Override(name, _parse_value(value.strip()), text)
 
 
 def _parse_value(text: str) -> Any:
@@ -89,73 +134,42 @@ def _parse_value(text: str) -> Any:
     return parsed["value"] if parsed.keys() == {"value"} else text
 
 
-def _set(values: dict[str, Any], name: str, value: Any, override: str) -> None:
-    section, _, key = name.partition(".")
+def _set(values: dict[str, Any], override: _Override) -> None:
+    section, _, key = override.name.partition(".")
     table = values.setdefault(section, {})
     if not isinstance(table, dict):
-        raise RunFileError(
-            f"--set {override}: the run file has {section} = {_show(table)}: should be a table"
-        )
-    table[key] = value
+        raise RunFileError(f"{override.place}: the run file has {section} = {show(table)}: should be a table")
+    table[key] = override.value
 
 
-def _check_names(values: dict[str, Any], source: str) -> None:
-    known_sections = sections()
-    known = {setting.name for setting in settings()}
-    for section, table in values.items():
-        if section not in known_sections:
-            instead = _suggestion(section, known | set(known_sections))
-            raise RunFileError(f"{source}: {section} is no section{instead or _choice(known_sections)}")
-        if not isinstance(table, dict):
-            raise RunFileError(f"{source}: {section} = {_show(table)}: should be a table, [{section}]")
-        for key in table:
-            if f"{section}.{key}" not in known:
-                raise RunFileError(
-                    f"{source}: {section}.{key} is no setting{_suggestion(f'{section}.{key}', known)}"
-                )
+def _leave_out_for_another_kind(values: dict[str, Any], overrides: Sequence[_Override]) -> None:
+    """Take out of the file what the overrides' kind of planner lacks and nobody has asked for."""
+    table = values.get("planner")
+    kinds = [override.value for override in overrides if override.name == "planner.kind"]
+    if isinstance(table, dict) and kinds and isinstance(kinds[-1], str):
+        values["planner"] = left_out_for_another_kind(table, kinds[-1])
 
 
-def _choice(names: Iterable[str]) -> str:
-    return f", it should be one of {', '.join(names)}"
-
-
-def _suggestion(name: str, known: set[str]) -> str:
-    return "".join(f"; did you mean {near}?" for near in list(_near(name, known))[:1])
-
-
-def _near(name: str, known: set[str]) -> Iterator[str]:
-    """Yield known names that resemble `name`: as a whole first, then by their last part alone."""
-    yield from difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.75)
-    by_key = {setting.key: setting.name for setting in settings() if setting.name in known}
-    key = name.rpartition(".")[2]
-    yield from (by_key[near] for near in difflib.get_close_matches(key, sorted(by_key), n=1, cutoff=0.6))
-    yield from difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.5)
-
-
-def _describe(error: ValidationError, source: str, overridden: dict[str, str]) -> str:
+def _describe(error: ValidationError, kind: str, source: str, overridden: Mapping[str, _Override]) -> str:
     details = error.errors(include_url=False)
     first = details[0]
-    name = ".".join(str(part) for part in first["loc"])
+    name = ".".join(str(part) for part in first["loc"][:2])
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    if not name:  # a check between two settings, whose text names both
-        return f"{source}: {first['msg'].removeprefix('Value error, ')}{more}"
-    place = (
-        f"--set {overridden[name]}" if name in overridden else f"{source}: {name} = {_show(first['input'])}"
-    )
-    return f"{place}: should be {_expectation(name, first)}{more}"
+    setting = next((setting for setting in settings(kind) if setting.name == name), None)
+    if setting is None:  # a check between settings, whose text names them
+        return f"{source}: {_own_words(first)}{more}"
+    place = overridden[name].place if name in overridden else f"{source}: {name} = {show(first['input'])}"
+    return f"{place}: {_expectation(setting, first)}{more}"
 
 
-def _expectation(name: str, detail: ErrorDetails) -> str:
-    setting = next(setting for setting in settings() if setting.name == name)
+def _expectation(setting: Setting, detail: ErrorDetails) -> str:
+    if detail["type"] in ("value_error", "assertion_error"):
+        return _own_words(detail)
     if detail["type"] == "string_pattern_mismatch":
-        return f"text like {to_toml_value(setting.default)} ({setting.description})"
-    return f"{setting.expected} ({setting.description})"
+        return f"should be text like {to_toml_value(setting.default)} ({setting.description})"
+    return f"should be {setting.expected} ({setting.description})"
 
 
-def _show(value: Any) -> str:
-    shown = to_toml_value(value) if isinstance(value, bool | int | float | str) else repr(value)
-    return _one_line(shown if len(shown) <= 60 else f"{shown[:57]}...")
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+def _own_words(detail: ErrorDetails) -> str:
+    """The text that a check itself has given."""
+    return one_line(re.sub(r"^(Value|Assertion) error, ", "", detail["msg"]))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Self
 
-from pydantic import ValidationError, model_validator
+from athrl_spaces import CHANNELS
+from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from athrl_protocol.chunk import MAXIMUM_TIME
+from athrl_protocol.chunk import MAXIMUM_IMAGES_BYTES, MAXIMUM_TIME
 from athrl_protocol.errors import RunFileError
+from athrl_protocol.run_file.planner_tables import PlannerSection
+from athrl_protocol.run_file.section import Section
 from athrl_protocol.run_file.sections import (
     ActorSection,
     DurabilitySection,
@@ -16,10 +20,8 @@ from athrl_protocol.run_file.sections import (
     ExplorationSection,
     LearnerSection,
     NetworkSection,
-    PlannerSection,
     ReplaySection,
     RunSection,
-    Section,
     SerialSection,
 )
 
@@ -29,7 +31,7 @@ class RunFile(Section):
 
     run: RunSection = RunSection()
     environment: EnvironmentSection = EnvironmentSection()
-    planner: PlannerSection = PlannerSection()
+    planner: PlannerSection = Field(default_factory=PlannerSection)
     exploration: ExplorationSection = ExplorationSection()
     replay: ReplaySection = ReplaySection()
     learner: LearnerSection = LearnerSection()
@@ -40,35 +42,67 @@ class RunFile(Section):
     network: NetworkSection = NetworkSection()
 
     @model_validator(mode="after")
-    def _check_sections_against_each_other(self) -> Self:
+    def _check_sections_against_each_other(self, info: ValidationInfo) -> Self:
+        environment = self.environment
+        if environment.episode_ticks < environment.ticks_per_decision:
+            raise ValueError(
+                f"environment.episode_ticks = {environment.episode_ticks}: should be at least "
+                f"environment.ticks_per_decision = {environment.ticks_per_decision}"
+            )
+        if (info.context or {}).get("training", True):
+            self._check_sequences()
+            self._check_training()
+        return self
+
+    def _check_sequences(self) -> None:
         length = self.replay.sequence_length
         if self.replay.burn_in >= length:
             raise ValueError(
                 f"replay.burn_in = {self.replay.burn_in}: should be less than "
                 f"replay.sequence_length = {length}"
             )
-        if self.replay.capacity < self.learner.batch * length:
+        if length > self.episode_decisions:
             raise ValueError(
-                f"replay.capacity = {self.replay.capacity}: should be at least learner.batch x "
-                f"replay.sequence_length = {self.learner.batch * length}, one batch"
+                f"replay.sequence_length = {length}: should be at most {self.episode_decisions}, the "
+                "decisions of an episode (environment.episode_ticks / environment.ticks_per_decision)"
             )
-        if self.environment.episode_ticks < self.environment.ticks_per_decision:
+        if self._most_images <= length:
             raise ValueError(
-                f"environment.episode_ticks = {self.environment.episode_ticks}: should be at least "
-                f"environment.ticks_per_decision = {self.environment.ticks_per_decision}"
+                f"environment.image_size = {self.environment.image_size}: a sequence of "
+                f"replay.sequence_length = {length} decisions has {length + 1} such images, should be at "
+                f"most {self._most_images}, as a message may have {MAXIMUM_IMAGES_BYTES // 2**20} MiB of them"
             )
-        if self.exploration.random_decisions >= self.run.environment_steps:
+
+    def _check_training(self) -> None:
+        least = max(self.learner.batch, self.replay.sequence_length)
+        if self.replay.capacity < least:
             raise ValueError(
-                f"exploration.random_decisions = {self.exploration.random_decisions}: should be less than "
-                f"run.environment_steps = {self.run.environment_steps}, or nothing is trained"
+                f"replay.capacity = {self.replay.capacity}: should be at least {least}, which is one batch "
+                f"(learner.batch = {self.learner.batch}) and one sequence "
+                f"(replay.sequence_length = {self.replay.sequence_length})"
             )
-        return self
+
+    @property
+    def episode_decisions(self) -> int:
+        """Decisions in an episode at most."""
+        return math.ceil(self.environment.episode_ticks / self.environment.ticks_per_decision)
+
+    @property
+    def warm_up(self) -> int:
+        """Random decisions before training starts: as many as are asked for, at most a third of the run."""
+        return min(self.exploration.random_decisions, self.run.environment_steps // 3)
+
+    @property
+    def _most_images(self) -> int:
+        """Images that a chunk may have."""
+        return MAXIMUM_IMAGES_BYTES // (self.environment.image_size**2 * len(CHANNELS))
 
     @property
     def longest_chunk(self) -> int:
         """Decisions in a chunk at most: whole sequences, as many as are wanted and a message may have."""
         length = self.replay.sequence_length
-        return length * min(self.actor.sequences_per_chunk, MAXIMUM_TIME // length)
+        fit = min(MAXIMUM_TIME, self._most_images - 1) // length
+        return length * min(self.actor.sequences_per_chunk, fit)
 
     def to_json(self) -> str:
         """Return all settings as JSON."""
@@ -86,4 +120,5 @@ class RunFile(Section):
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             place = ".".join(str(part) for part in first["loc"]) or "run file"
-            raise RunFileError(f"served run file: {place}: {first['msg']}") from None
+            text = first["msg"].removeprefix("Value error, ")
+            raise RunFileError(f"served run file: {place}: {text}") from None

@@ -7,15 +7,19 @@ the reference page.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from athrl_spaces.environment import BOUNDS
+from pydantic import Field
+
+from athrl_protocol.run_file.section import Section
+from athrl_protocol.run_file.towns import EXPECTED, Towns
 
 
-class Section(BaseModel):
-    """A table of the run file; unknown keys and wrong types are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+def _bounded(key: str, default: float, description: str) -> Any:
+    """A setting of the environment, with the bounds that the environment itself has for it."""
+    _, low, high = BOUNDS[key]
+    return Field(default=default, ge=low, le=high, description=description)
 
 
 class RunSection(Section):
@@ -33,110 +37,44 @@ class RunSection(Section):
         description="Root of the tree of seeds: run, service, environment, episode.",
     )
     environment_steps: int = Field(
-        default=30_000, ge=1, description="Decisions of all actors together after which the run ends."
+        default=400_000, ge=1, description="Decisions of all actors together after which the run ends."
     )
     folder: str = Field(default="runs", min_length=1, description="Folder that holds the run's folder.")
 
 
 class EnvironmentSection(Section):
-    """The town and what the car perceives."""
+    """The towns and what the car perceives."""
 
-    town: str = Field(
-        default="town03",
-        pattern=r"^(town02|town03|town04|.+\.xodr)$",
-        description="The town to drive in: town02, town03, town04, or an OpenDRIVE file of yours, PATH.xodr.",
+    towns: Towns = Field(
+        default={"town03": 1.0},
+        description="The towns to drive in: town02, town03, town04, or an OpenDRIVE file of yours, "
+        "PATH.xodr; several with their shares of an actor's environments, {town03 = 2.0, town04 = 1.0}.",
+        json_schema_extra={"expected": EXPECTED},
     )
-    vehicles: int = Field(default=100, ge=0, le=1000, description="Background vehicles.")
-    image_size: Literal[32, 64] = Field(
-        default=32, description="Height and width of bird's eye view and lidar, pixels."
+    vehicles: int = _bounded("vehicles", 100, "Background vehicles.")
+    image_size: int = _bounded("image_size", 32, "Height and width of bird's eye view and lidar, pixels.")
+    episode_ticks: int = _bounded("episode_ticks", 500, "Ticks of 0.1 s after which an episode is truncated.")
+    ticks_per_decision: int = _bounded("ticks_per_decision", 4, "Ticks of 0.1 s for which a decision holds.")
+    maximum_speed: float = _bounded(
+        "maximum_speed", 7.95, "Highest target speed, m/s; above 8 m/s every tick costs 10 points."
     )
-    episode_ticks: int = Field(
-        default=500, ge=4, description="Ticks of 0.1 s after which an episode is truncated."
-    )
-    ticks_per_decision: int = Field(
-        default=4, ge=1, le=50, description="Ticks of 0.1 s for which a decision holds."
-    )
-    maximum_speed: float = Field(
-        default=7.95,
-        gt=0,
-        le=40,
-        description="Highest target speed, m/s; above 8 m/s every tick costs 10 points.",
-    )
-    waypoint_radius: float = Field(
-        default=8.0, ge=2, le=30, description="Distance of the planner's waypoint, m."
-    )
-    waypoint_half_angle: float = Field(
-        default=30.0,
-        gt=0,
-        le=90,
-        description="The waypoint lies within this angle to either side of straight ahead, degrees.",
-    )
-
-
-class PlannerSection(Section):
-    """The hierarchical planner and how it learns."""
-
-    kind: Literal["athrl"] = Field(
-        default="athrl", description="athrl: intention planner over trajectory planner (the paper)."
-    )
-    hidden_features: int = Field(
-        default=128, ge=8, le=2048, description="Width of the layer before the LSTM."
-    )
-    recurrent_features: int = Field(default=64, ge=4, le=1024, description="Units of each LSTM.")
-    discount: float = Field(default=0.97, ge=0, lt=1, description="Discount of one decision.")
-    learning_rate: float = Field(
-        default=3e-4, gt=0, le=1, description="Adam's step size for actors and critics."
-    )
-    soft_target: float = Field(
-        default=0.005, gt=0, le=1, description="Share of the online weights taken into the targets."
-    )
-    reward_scale: float = Field(
-        default=0.02, gt=0, description="Factor on rewards before they reach the critics."
-    )
-    saturation_penalty: float = Field(
-        default=0.02,
-        ge=0,
-        description="Weight of the squared pre-tanh output in the actors' loss; 0 is the paper.",
-    )
-    twin_critics: bool = Field(
-        default=True, description="Two critics and the smaller value (TD3); false is the paper."
-    )
-    actor_delay: int = Field(
-        default=2, ge=1, description="Critic updates for each actor update (TD3); 1 is the paper."
-    )
-    target_noise: float = Field(
-        default=0.1, ge=0, le=1, description="Noise on target actions, in half-ranges (TD3); 0 is the paper."
-    )
-    intention_gradient: float = Field(
-        default=1.0, ge=0, description="Weight of the trajectory critic's gradient through the intention."
-    )
-    gradient_norm: float = Field(default=10.0, gt=0, description="Gradients are clipped to this norm.")
-    average_decay: float = Field(
-        default=0.995,
-        ge=0,
-        lt=1,
-        description="Decay of the averaged actor that is published; 0 publishes the newest.",
+    waypoint_radius: float = _bounded("waypoint_radius", 8.0, "Distance of the planner's waypoint, m.")
+    waypoint_half_angle: float = _bounded(
+        "waypoint_half_angle",
+        30.0,
+        "The waypoint lies within this angle to either side of straight ahead, degrees.",
     )
 
 
 class ExplorationSection(Section):
-    """The actors' noise."""
+    """How actors explore; the noise itself is a setting of the planner."""
 
     random_decisions: int = Field(
-        default=2_000,
+        default=10_000,
         ge=0,
-        description="Decisions of a uniformly random policy before training starts; the paper has 10000.",
+        description="Decisions of a uniformly random policy before training starts, at most a third of the "
+        "run; the paper has 10000.",
     )
-    intention_noise: float = Field(
-        default=0.2, ge=0, le=2, description="Ornstein-Uhlenbeck on the intention, half-ranges."
-    )
-    speed_noise: float = Field(
-        default=0.2, ge=0, le=2, description="Ornstein-Uhlenbeck on the target speed, half-ranges."
-    )
-    waypoint_noise: float = Field(
-        default=0.1, ge=0, le=2, description="Gaussian on the waypoint's angle, half-ranges."
-    )
-    damping: float = Field(default=0.15, gt=0, le=1, description="Damping of the Ornstein-Uhlenbeck process.")
     final_noise_scale: float = Field(
         default=0.5, ge=0, le=1, description="Factor on all noise at the run's end; it falls linearly from 1."
     )
@@ -145,26 +83,44 @@ class ExplorationSection(Section):
 class ReplaySection(Section):
     """The replay buffer."""
 
-    capacity: int = Field(default=100_000, ge=100, description="Transitions that the replay buffer holds.")
+    capacity: int = Field(default=200_000, ge=100, description="Decisions that the replay buffer holds.")
     sequence_length: int = Field(
-        default=10, ge=2, le=256, description="Decisions in a sequence, the unit of replay."
+        default=16, ge=2, le=256, description="Decisions in a sequence, the unit in which they travel."
     )
     burn_in: int = Field(
-        default=2,
+        default=0,
         ge=0,
         le=128,
         description="First decisions of a sequence that only warm the recurrent states.",
+    )
+    prioritised: bool = Field(
+        default=False,
+        description="Draw what was predicted badly more often; false: everything equally often.",
+    )
+    priority_exponent: float = Field(
+        default=0.6, ge=0, le=1, description="Prioritised: how much the error counts; 0: not at all."
+    )
+    importance_exponent: float = Field(
+        default=0.4,
+        ge=0,
+        le=1,
+        description="Prioritised: how far losses are weighted against being drawn more often; 1: fully.",
     )
 
 
 class LearnerSection(Section):
     """Training, publication, checkpoints."""
 
-    batch: int = Field(default=16, ge=1, le=4096, description="Sequences in an update.")
+    batch: int = Field(
+        default=512,
+        ge=1,
+        le=65_536,
+        description="Decisions in an update; a planner with memory takes them as whole sequences.",
+    )
     samples_per_insert: float = Field(
-        default=32.0,
+        default=8.0,
         gt=0,
-        description="How often a transition is trained on, on average; the limiter holds to it.",
+        description="How often a decision is trained on, on average; the limiter holds to it.",
     )
     samples_per_insert_tolerance: float = Field(
         default=0.1,
@@ -172,7 +128,7 @@ class LearnerSection(Section):
         le=1,
         description="Share by which samples per insert may be off before somebody waits.",
     )
-    publish_seconds: float = Field(default=2.0, gt=0, description="Seconds between published policies.")
+    publish_seconds: float = Field(default=1.0, gt=0, description="Seconds between published policies.")
     checkpoint_seconds: float = Field(default=120.0, gt=0, description="Seconds between checkpoints.")
     checkpoints_kept: int = Field(default=3, ge=1, description="Newest checkpoints that are kept.")
     deadlock_seconds: float = Field(
@@ -181,9 +137,15 @@ class LearnerSection(Section):
         description="Seconds that actors and learner may wait for each other "
         "before the run ends in an error.",
     )
-    threads: int = Field(default=1, ge=1, le=256, description="Threads that train.")
+    threads: int = Field(
+        default=0, ge=0, le=256, description="Threads that train; 0: as many as the run leaves it."
+    )
     device: Literal["cpu", "cuda", "auto"] = Field(
         default="cpu", description="Where training happens; auto: on a GPU where there is one."
+    )
+    precision: Literal["auto", "float32", "bfloat16"] = Field(
+        default="auto",
+        description="Of the networks' products; auto: bfloat16 where this machine's CPU is faster with it.",
     )
 
 
@@ -212,10 +174,10 @@ class ActorSection(Section):
     """Each actor."""
 
     environments: int = Field(
-        default=8, ge=1, le=1024, description="Environments that an actor drives in step."
+        default=64, ge=1, le=1024, description="Environments that an actor drives in step."
     )
     unacknowledged_chunks: int = Field(
-        default=64,
+        default=256,
         ge=1,
         description="Chunks kept while the learner is away; when it is full the actor waits.",
     )

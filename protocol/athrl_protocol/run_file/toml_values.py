@@ -1,0 +1,35 @@
+"""Values of settings as TOML."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def to_toml_value(value: Any) -> str:
+    """Return a number, text, truth value, list or table as TOML, in one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # TOML's texts are JSON's, but for this one character, which it wants escaped.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        pairs = [f"{_key(key)} = {to_toml_value(entry)}" for key, entry in value.items()]
+        return f"{{{', '.join(pairs)}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(to_toml_value(entry) for entry in value)}]"
+    return repr(value)
+
+
+def choice(values: Iterable[Any]) -> str:
+    """Return values of which one is to be chosen, in words: `"a", "b" or "c"`."""
+    *others, last = [to_toml_value(value) for value in values]
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def _key(key: str) -> str:
+    return key if _BARE_KEY.fullmatch(key) else to_toml_value(key)

@@ -1,0 +1,92 @@
+"""The towns of a run and their shares: how they may be written, and what becomes of that.
+
+Written as a text, a list of texts or a table of shares; read, it is always a table:
+
+| written | read |
+|---|---|
+| `"town03"` | `{"town03": 1.0}` |
+| `["town03", "maps/mine.xodr"]` | `{"town03": 1.0, "maps/mine.xodr": 1.0}` |
+| `{town03 = 2, town04 = 1}` | `{"town03": 2.0, "town04": 1.0}` |
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from athrl_protocol.schema import LONGEST_NAME
+
+TOWNS = ("town02", "town03", "town04")
+MAP_ENDINGS = (".xodr", ".XODR")
+MOST_TOWNS = 16
+
+EXPECTED = "a town, a list of towns, or a table of their shares"
+_MAY_BE = f"{', '.join(TOWNS)}, or an OpenDRIVE file, PATH.xodr"
+
+
+def read_towns(value: Any) -> dict[str, float]:
+    """Return the share, a number above 0, of each town by its name or by the path of its map.
+
+    Raises:
+        ValueError: it is something else; says what it should be.
+    """
+    if isinstance(value, str):
+        shares: Mapping[Any, Any] = {value: 1.0}
+    elif isinstance(value, list):
+        shares = _equal_shares(value)
+    elif isinstance(value, Mapping):
+        shares = value
+    else:
+        raise ValueError(f"should be {EXPECTED}")
+    if not 1 <= len(shares) <= MOST_TOWNS:
+        raise ValueError(f"has {len(shares)} towns, should have 1 to {MOST_TOWNS}")
+    return {_town(name): _share(name, share) for name, share in shares.items()}
+
+
+def _equal_shares(towns: list[Any]) -> dict[Any, float]:
+    for town in towns:
+        if not isinstance(town, str):
+            raise ValueError(f"has a town {town!r:.60}, should be {EXPECTED}")
+        if towns.count(town) > 1:
+            raise ValueError(f"has {_quoted(town)} twice, should have each town once; a table gives shares")
+    return dict.fromkeys(towns, 1.0)
+
+
+def _town(name: Any) -> str:
+    if not isinstance(name, str):
+        raise ValueError(f"has a town {name!r:.60}, should be {EXPECTED}")
+    if name in TOWNS:
+        return name
+    if not name.endswith(MAP_ENDINGS) or name in MAP_ENDINGS:
+        near = difflib.get_close_matches(name.lower(), TOWNS, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        if name[:1] in "[{":  # what is no TOML was taken for a text
+            hint = '; the texts of a list need quotes, ["town03", "town04"]'
+        raise ValueError(f"{_quoted(name)} is no town: should be {_MAY_BE}{hint}")
+    # It travels with results and frames, and is shown in one line.
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise ValueError(f"{_quoted(name)}: should be a path of at most {LONGEST_NAME} printable characters")
+    return name
+
+
+def _share(name: str, share: Any) -> float:
+    is_number = isinstance(share, int | float) and not isinstance(share, bool)
+    if not is_number or not 0 < share <= 1e9 or not math.isfinite(share):
+        raise ValueError(
+            f"the share of {_quoted(name)} is {share!r:.60}, should be a number above 0, at most 1e9"
+        )
+    return float(share)
+
+
+def _quoted(name: str) -> str:
+    quoted = json.dumps(name)
+    return quoted if len(quoted) <= 80 else f"{quoted[:76]}..."
+
+
+Towns = Annotated[dict[str, float], BeforeValidator(read_towns)]
+"""Shares by town, read from any of the ways in which they may be written."""
