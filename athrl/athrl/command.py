@@ -22,6 +22,7 @@ SUBCOMMANDS = {
     "evaluator": "athrl.services:evaluator",
     "router": "athrl.router:router",
     "evaluate": "athrl.evaluate:evaluate",
+    "policies": "athrl.policies:policies",
     "watch": "athrl.watch:watch",
     "status": "athrl.status:status",
     "doctor": "athrl.doctor.command:doctor",

@@ -13,6 +13,7 @@ _EXPECTED = (
     ("athrl_driving.errors", "DrivingError"),
     ("athrl_driving.policy", "InvalidPolicy"),
     ("athrl_driving.policy", "EnvironmentFailure"),
+    ("athrl_planners.registry", "UnknownPlanner"),
     ("athrl_learner", "LearnerError"),
     ("athrl_actor", "ActorError"),
     ("athrl_evaluator.errors", "EvaluatorError"),

@@ -1,11 +1,13 @@
-"""`athrl evaluate`: scores of a policy file or a reference driver, in a town or the paper's case studies."""
+"""`athrl evaluate`: scores of a policy or a reference driver, in a town or the paper's case studies."""
 
 from __future__ import annotations
 
+import difflib
 import errno
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,14 +18,14 @@ from rich.table import Table
 
 from athrl import runs
 from athrl.errors import CommandError, needs
-from athrl.options import JsonOption, RunFileOption, SetOption, overrides
+from athrl.options import ForceOption, JsonOption, RunFileOption, SetOption, overrides
 
 REFERENCE_DRIVERS = ("random", "blind", "rule-based")
 CASE_STUDIES = ("roundabout", "oncoming-traffic", "unprotected-left")
 ALL = "all"
 
 _OPTION_OF_SETTING = {
-    "environment.town": "--town",
+    "environment.towns": "--town",
     "evaluator.final_episodes": "--episodes",
     "evaluator.seed": "--seed",
 }
@@ -33,8 +35,16 @@ _USED = "environment.*, evaluator.final_episodes, evaluator.seed and actor.stall
 
 
 def evaluate(
-    policy: Annotated[str, typer.Option(metavar="FILE|random|blind|rule-based", help="Who drives.")],
-    town: Annotated[str | None, typer.Option(help="The town to drive in; by default the run file's.")] = None,
+    policy: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE|random|blind|rule-based",
+            help="Who drives; `athrl policies` lists the names of those that come with this program.",
+        ),
+    ],
+    town: Annotated[
+        str | None, typer.Option(help="The town to drive in, or a map; by default the run file's towns.")
+    ] = None,
     case_study: Annotated[
         str | None,
         typer.Option(
@@ -55,26 +65,27 @@ def evaluate(
         Path | None,
         typer.Option(metavar="FOLDER", help="Record each episode as an MCAP file in this folder."),
     ] = None,
+    force: ForceOption = None,
     as_json: JsonOption = False,
     run_file: RunFileOption = None,
     settings: SetOption = None,
 ) -> None:
     """Drive episodes without exploration and print the scores with a 95 % interval of the return."""
     named = {setting.partition("=")[0].strip() for setting in settings or []}
-    given = {"environment.town": town, "evaluator.final_episodes": episodes, "evaluator.seed": seed}
+    given = {"environment.towns": town, "evaluator.final_episodes": episodes, "evaluator.seed": seed}
     _check_case_study(case_study, town, named)
     by_option = [f"{name}={value}" for name, value in given.items() if value is not None]
     if town is not None:
-        _check_town(town)
-    run_settings = runs.new_settings(run_file, overrides(settings) + by_option)
+        check_town(town)
+    run_settings = runs.new_settings(run_file, overrides(settings) + by_option, training=False)
     _check_used(named, {name for name, value in given.items() if value is not None})
     _check_folder(record)
-    driver = _driver(policy)
-    studies = CASE_STUDIES if case_study == ALL else (case_study,)
+    driver = find_driver(policy)
+    places = _places(run_settings.environment, case_study, named)
     results = [
-        _evaluate(driver, run_settings, study, named, record, many=len(studies) > 1) for study in studies
+        _evaluate(driver, run_settings, place, record, force or [], many=len(places) > 1) for place in places
     ]
-    _print(policy, run_settings, results, as_json)
+    _print(policy, results, as_json)
 
 
 def _check_case_study(case_study: str | None, town: str | None, named: set[str]) -> None:
@@ -84,8 +95,8 @@ def _check_case_study(case_study: str | None, town: str | None, named: set[str])
     if case_study not in (*CASE_STUDIES, ALL):
         choice = f"{', '.join(CASE_STUDIES)} or {ALL}"
         raise CommandError(f"--case-study {case_study}: there is no such case study, it should be {choice}")
-    if town is not None or "environment.town" in named:
-        option = "--town" if town is not None else "--set environment.town"
+    if town is not None or "environment.towns" in named:
+        option = "--town" if town is not None else "--set environment.towns"
         raise CommandError(f"{option} has no place beside --case-study, whose town is its own: leave one out")
 
 
@@ -99,8 +110,12 @@ def _check_used(named: set[str], by_option: set[str]) -> None:
             raise CommandError(f"--set {name}: evaluate only drives and would ignore it; it goes by {_USED}")
 
 
-def _check_town(town: str) -> None:
-    """Refuse a town that there is not by the option's name, and a map that cannot be driven."""
+def check_town(town: str) -> None:
+    """Refuse a town that there is not by the option's name, and a map that cannot be driven.
+
+    Raises:
+        CommandError: it is one of them.
+    """
     with needs("evaluator"):
         from athrl_driving.maps import load_town
     try:
@@ -123,59 +138,96 @@ def _check_folder(folder: Path | None) -> None:
         ) from None
 
 
-def _driver(policy: str) -> str | Path:
-    """Return a reference driver's name, or a policy's file; raises CommandError for what is neither."""
+def find_driver(policy: str) -> str | Path:
+    """Return a reference driver's name, or the file of a policy that is given by its path or its name.
+
+    Raises:
+        CommandError: it is none of them; names the nearest.
+    """
     if policy in REFERENCE_DRIVERS:
         return policy
     path = Path(policy)
-    if not path.is_file():
-        choice = ", ".join(REFERENCE_DRIVERS)
-        wrong = "is a folder" if path.is_dir() else "there is no such file"
-        raise CommandError(f"--policy {policy}: {wrong}, and it is none of {choice}")
-    return path
+    if path.is_file():
+        return path
+    with needs("evaluator"):
+        from athrl_evaluator.shipped_policies import shipped_names, shipped_policy
+    if policy in shipped_names():
+        return shipped_policy(policy)
+    wrong = "is a folder" if path.is_dir() else "there is no such file"
+    names = [*REFERENCE_DRIVERS, *shipped_names()]
+    near = difflib.get_close_matches(policy, names, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise CommandError(f"--policy {policy}: {wrong}, and it is none of {', '.join(names)}{hint}")
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where episodes are driven.
+
+    Attributes:
+        section: the settings of the environments.
+        case_study: that they are of.
+        facts: what the results say of the place.
+        folder: of its recordings, beside those of other places.
+    """
+
+    section: EnvironmentSection
+    case_study: str | None
+    facts: dict[str, str]
+    folder: str
+
+
+def _places(section: EnvironmentSection, case_study: str | None, named: set[str]) -> list[_Place]:
+    """Return the case studies, or else the towns, one by one."""
+    if case_study is not None:
+        beside = _beside_case_study(section, named)
+        studies = CASE_STUDIES if case_study == ALL else (case_study,)
+        return [_Place(beside, study, {"case_study": study}, study) for study in studies]
+    with needs("evaluator"):
+        from athrl_evaluator.environments import in_town, town_labels
+    labels = town_labels(list(section.towns))
+    return [_Place(in_town(section, town), None, {"town": town}, label) for town, label in labels.items()]
 
 
 def _evaluate(
     driver: str | Path,
     settings: RunFile,
-    case_study: str | None,
-    named: set[str],
+    place: _Place,
     record: Path | None,
+    forced: Sequence[str],
     *,
     many: bool,
 ) -> dict[str, Any]:
-    """Score a driver; of many case studies each is recorded in a folder of its own."""
+    """Score a driver; of many places each is recorded in a folder of its own."""
     with needs("evaluator"):
         from athrl_evaluator import evaluate_driver
-    section = settings.environment
-    where = {"town": section.town}
-    if case_study is not None:
-        section, where = _beside_case_study(section, named), {"case_study": case_study}
     scores = evaluate_driver(
         driver,
-        environment=section,
-        case_study=case_study,
+        environment=place.section,
+        case_study=place.case_study,
         episodes=settings.evaluator.final_episodes,
         seed=settings.evaluator.seed,
         stall_seconds=settings.actor.stall_seconds,
-        record=record / case_study if record is not None and case_study is not None and many else record,
+        record=record / place.folder if record is not None and many else record,
+        forced=forced,
     )
-    return {**where, "seed": settings.evaluator.seed, **scores.as_dict()}
+    return {**place.facts, "seed": settings.evaluator.seed, **scores.as_dict()}
 
 
 def _beside_case_study(section: EnvironmentSection, named: set[str]) -> EnvironmentSection:
     """What the settings say beside a case study: of what it fixes itself only the command line's."""
-    own = {"town", "vehicles", "episode_ticks"} - {name.removeprefix("environment.") for name in named}
+    own = {"towns", "vehicles", "episode_ticks"} - {name.removeprefix("environment.") for name in named}
     return EnvironmentSection(**section.model_dump(include=section.model_fields_set - own))
 
 
-def _print(policy: str, settings: RunFile, results: Sequence[dict[str, Any]], as_json: bool) -> None:
-    """Print one JSON object, with many results in its `case_studies`, or a table with a column for each."""
+def _print(policy: str, results: Sequence[dict[str, Any]], as_json: bool) -> None:
+    """Print one JSON object, with many results in `case_studies` or `towns`, or a table with columns."""
+    many = "towns" if "town" in results[0] else "case_studies"
     if as_json:
-        facts = results[0] if len(results) == 1 else {"case_studies": results}
+        facts = results[0] if len(results) == 1 else {many: results}
         print(json.dumps({"policy": policy, **facts}))
         return
-    where = f" in {settings.environment.town}" if "town" in results[0] else ""
+    where = f" in {results[0]['town']}" if many == "towns" and len(results) == 1 else ""
     table = Table(title=f"{policy}{where}", show_header=False)
     for name in results[0]:
         values = [result[name] for result in results]

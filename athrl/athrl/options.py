@@ -62,6 +62,14 @@ LiveRunOption = Annotated[
         "--run", envvar="ATHRL_RUN", metavar="RUN", help="The run's name; not needed where there is but one."
     ),
 ]
+ForceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--force",
+        metavar="NAME=VALUE",
+        help="Have the policy decide this all the time, such as intention=0; several.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 

@@ -123,8 +123,12 @@ def _mean_return(scores: dict[str, float]) -> str:
 
 
 def _score(scores: dict[str, float]) -> str:
+    """What a driver scored over all towns, and its return in each where there are several."""
+    suffix = "/return_mean"
+    towns = [f"{name.removesuffix(suffix)} {_number(scores[name])}" for name in scores if suffix in name]
+    each = f" ({', '.join(towns)})" if towns else ""
     return (
-        f"return {_mean_return(scores)}, "
+        f"return {_mean_return(scores)}{each}, "
         f"{_number(scores.get('speed_mps'))} m/s, collisions {_share(scores.get('collision_rate'))}"
     )
 

@@ -86,3 +86,11 @@ def test_facts_are_plain_values_by_service() -> None:
     assert values["phase"] == "training"
     assert values["actors"]["one"]["decisions_per_second"] == 45.0
     assert values["evaluations"]["policy"]["scores"]["return_mean"] == 812.0
+
+
+def test_picture_shows_the_return_in_each_of_several_towns() -> None:
+    scores = {**SCORES, "town03/return_mean": 900.0, "town02/return_mean": 724.0}
+    result = EvaluationResult("policy", 6, 1_400, "2 towns", 1, scores)
+    snapshot = replace(SNAPSHOT, evaluations={"policy": result})
+    for text in (drawn(snapshot), plain_line(snapshot)):
+        assert "812 ± 90.5 (town03 900, town02 724)" in text

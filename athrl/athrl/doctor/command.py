@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -15,6 +16,7 @@ from rich.text import Text
 from athrl import runs
 from athrl.doctor import disk, installation, live_run, machine, network, round_trip
 from athrl.doctor.finding import Check, Finding, Level, findings_of
+from athrl.errors import CommandError
 from athrl.options import CertificatesOption, JsonOption, LiveRunOption, RunFileOption, SetOption, overrides
 
 FAILED = 1
@@ -34,6 +36,8 @@ def doctor(
     certificates: CertificatesOption = None,
 ) -> None:
     """Look whether this installation and this machine can carry a run, and how a live one is."""
+    with contextlib.suppress(CommandError):  # on a machine for actors alone
+        runs.know_planners()
     checks = _checks(runs.new_settings(run_file, overrides(settings)), connect, run)
     console = Console(soft_wrap=True, highlight=False)
     found: list[Finding] = []

@@ -9,7 +9,7 @@ from typing import Any
 
 from athrl_actor.rollout import Rollout
 from athrl_actor.seeds import ActorSeeds
-from athrl_driving.policy import environment_config
+from athrl_driving.policy import environment_config, spread_towns
 from athrl_protocol import Chunk, PolicyUpdate
 from athrl_protocol.run_file import RunFile
 
@@ -25,18 +25,12 @@ class SerialActor:
     """Drives as an actor of a distributed run does, and can be written down in the middle of its episodes."""
 
     def __init__(self, run_file: RunFile, stack: ExitStack) -> None:
-        """Make the environments; `stack` closes them."""
-        settings = run_file.environment.model_dump()
-        town = settings.pop("town")
-        self._batch = RepeatableBatch(
-            town,
-            environment_config(**settings),
-            run_file.actor.environments,
-            recorded=run_file.replay.sequence_length,
-        )
-        stack.callback(self._batch.close)
+        """Environments are made with the first policy; `stack` closes them."""
+        self._run_file, self._stack = run_file, stack
+        self._batch: RepeatableBatch | None = None
         self._rollout = Rollout(
-            self._batch,
+            self._make_batch,
+            run_file.actor.environments,
             ActorSeeds(run_file.run.seed, NAME, INCARNATION),
             actor=NAME,
             incarnation=INCARNATION,
@@ -66,17 +60,15 @@ class SerialActor:
         return self._rollout.statistics.report()
 
     def state(self) -> dict[str, Any]:
-        """Everything that `go_on` needs, as tensors and plain values that nobody changes later."""
+        """Everything that `resume` needs, as tensors and plain values that nobody changes later."""
+        policy = asdict(self.policy)
+        assert self._batch is not None  # since there is a policy
         state: dict[str, Any] = to_tensors(
-            {
-                "policy": asdict(self.policy),
-                "rollout": self._rollout.state(),
-                "environments": self._batch.state(),
-            }
+            {"policy": policy, "rollout": self._rollout.state(), "environments": self._batch.state()}
         )
         return state
 
-    def go_on(self, state: Mapping[str, Any]) -> None:
+    def resume(self, state: Mapping[str, Any]) -> None:
         """Be where the actor was that `state` is of.
 
         Raises:
@@ -86,7 +78,17 @@ class SerialActor:
         arrays = to_arrays(dict(state))
         policy = arrays["policy"]
         self._policy = PolicyUpdate(**{**policy, "artefact": policy["artefact"].tobytes()})
-        if len(arrays["environments"]["seeds"]) != len(self._batch):
+        if len(arrays["environments"]["seeds"]) != len(self._rollout):
             raise ValueError(f"it has {len(arrays['environments']['seeds'])} environments")
+        self._rollout.adopt(self._policy)
+        assert self._batch is not None  # since a policy was adopted
         self._batch.drive_again(arrays["environments"])
-        self._rollout.go_on(self._policy, arrays["rollout"])
+        self._rollout.load_state(arrays["rollout"])
+
+    def _make_batch(self, kind: str) -> RepeatableBatch:
+        settings = self._run_file.environment.model_dump()
+        towns = spread_towns(settings.pop("towns"), self._run_file.actor.environments)
+        recorded = self._run_file.replay.sequence_length
+        self._batch = RepeatableBatch(towns, environment_config(**settings), kind, recorded)
+        self._stack.callback(self._batch.close)
+        return self._batch

@@ -6,21 +6,23 @@ enough, and some hundred decisions are driven again within milliseconds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from athrl_driving.policy import BatchStep, EnvironmentBatch
 from athrl_learner import CannotResume
+from athrl_spaces import action_kind
 
 
 class RepeatableBatch(EnvironmentBatch):
     """A batch that knows the seed and the decisions of each environment's episode."""
 
-    def __init__(self, town: str, config: Mapping[str, Any], count: int, recorded: int) -> None:
-        super().__init__(town, config, count, recorded)
-        self._seeds: list[int | None] = [None] * count  # None: no episode has begun
-        self._decisions: list[list[np.ndarray]] = [[] for _ in range(count)]
+    def __init__(self, towns: Sequence[str], config: Mapping[str, Any], kind: str, recorded: int) -> None:
+        super().__init__(towns, config, kind, recorded)
+        self._entries = len(action_kind(kind).entries)
+        self._seeds: list[int | None] = [None] * len(towns)  # None: no episode has begun
+        self._decisions: list[list[np.ndarray]] = [[] for _ in towns]
 
     def reset(self, row: int, seed: int) -> None:
         """Begin a new episode in one environment."""
@@ -35,10 +37,12 @@ class RepeatableBatch(EnvironmentBatch):
         return super().step(actions, active)
 
     def state(self) -> dict[str, Any]:
-        """What `drive_again` needs: seeds, decisions float32 [n, 2] each, and what is seen at the end."""
+        """What `drive_again` needs: seeds, decisions float32 [n, entries] each, what is seen at the end."""
         return {
             "seeds": list(self._seeds),
-            "decisions": [np.array(decisions, np.float32).reshape(-1, 2) for decisions in self._decisions],
+            "decisions": [
+                np.array(decisions, np.float32).reshape(-1, self._entries) for decisions in self._decisions
+            ],
             "images": self.images.copy(),
             "motion": self.motion.copy(),
         }
@@ -55,7 +59,8 @@ class RepeatableBatch(EnvironmentBatch):
                 self.reset(row, seed)
         for step in range(max(len(made) for made in decisions)):
             active = np.array([step < len(made) for made in decisions])
-            rows = [made[step] if step < len(made) else np.zeros(2, np.float32) for made in decisions]
+            nothing = np.zeros(self._entries, np.float32)
+            rows = [made[step] if step < len(made) else nothing for made in decisions]
             self.step(np.stack(rows), active)
         for row, seed in enumerate(self._seeds):
             if seed is not None:

@@ -10,8 +10,10 @@ from typing import Any
 
 from athrl_learner import CheckpointFailed, fingerprint
 from athrl_learner.direct import DirectIntake
+from athrl_learner.divergence import diverged
 from athrl_learner.parts import Parts
 from athrl_learner.snapshot import take_snapshot
+from athrl_planners import TrainingDiverged
 from athrl_protocol import Chunk, IntakeBusy
 from athrl_protocol.run_file import RunFile
 
@@ -84,14 +86,12 @@ class SerialRun:
         self._observers = observers
         self._every = Intervals.of(run_file)
         self._intake = DirectIntake(parts.store, parts.ledger)
-        self._batch = run_file.learner.batch
-        self._owed = run_file.learner.batch * run_file.replay.sequence_length
         self._saved = False  # whether the newest checkpoint is of this very moment
 
     @property
     def finished(self) -> bool:
         """Whether all experience is in and trained on."""
-        return self._parts.store.exhausted(self._batch)
+        return self._parts.store.exhausted
 
     def begin(self) -> None:
         """Publish the policy that is not trained yet, with which a new run begins."""
@@ -104,8 +104,16 @@ class SerialRun:
 
         Raises:
             CheckpointFailed: it could not be written, or the disk is full and `stop` was set.
+            Diverged: a loss is not finite; the newest checkpoint is from before that.
             LogFailed: the disk does not take experience.
         """
+        try:
+            return self._run(stop, stop_at)
+        except TrainingDiverged as error:
+            trainer = self._parts.trainer
+            raise diverged(self._parts.folder, str(error), trainer.updates, trainer.batch) from None
+
+    def _run(self, stop: threading.Event, stop_at: int | None) -> bool:
         store = self._parts.store
         while not self.finished:
             if stop.is_set() or (stop_at is not None and store.environment_steps >= stop_at):
@@ -156,15 +164,16 @@ class SerialRun:
     def _train(self) -> None:
         """Update while samples are owed; the limiter would let training run ahead, here it never does."""
         parts = self._parts
-        while parts.store.limiter.owes(self._owed):
-            batch = parts.store.sample(self._batch, timeout=0)
+        while parts.store.owes_a_batch:
+            batch = parts.store.sample(timeout=0)
             if batch is None:
                 raise RuntimeError("the limiter owes samples and does not permit them")
-            parts.trainer.update(batch)
+            parts.trainer.update(batch, parts.store.progress)
             if parts.trainer.updates % self._every.trace == 0:
                 self._trace.add(f"{self._where()}: parameters {fingerprint.parameters(parts.agent)}")
 
     def _publish(self) -> None:
+        self._parts.trainer.require_finite()
         self._parts.publication.publish(
             updates=self._parts.trainer.updates,
             environment_steps=self._parts.store.environment_steps,
@@ -186,6 +195,7 @@ class SerialRun:
 
     def _save(self) -> None:
         parts = self._parts
+        parts.trainer.require_finite()
         actor: dict[str, Any] = {**self._actor.state(), "files": self._observers.files()}
         content = take_snapshot(
             self._run_file, parts.agent, parts.store, self._intake, parts.publication.version, actor=actor

@@ -116,7 +116,7 @@ class SerialSession:
     def _go_on(self, content: CheckpointContent) -> None:
         assert content.actor is not None
         try:
-            self._actor.go_on(content.actor)
+            self._actor.resume(content.actor)
         except (KeyError, TypeError, ValueError) as error:
             raise CannotResume(
                 f"the checkpoint's actor does not fit the run's settings; was one overridden? {error}"
@@ -152,7 +152,8 @@ def _make_torch_deterministic(settings: RunFile) -> None:
     os.environ.setdefault("MKL_CBWR", "AUTO")
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.use_deterministic_algorithms(True)
-    torch.set_num_threads(settings.learner.threads)
+    # By itself one thread: with another number sums come out otherwise, and the machine shall not matter.
+    torch.set_num_threads(settings.learner.threads or 1)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The table at a run's end: the last policy beside the reference drivers."""
+"""The tables at a run's end: the last policy beside the reference drivers, over all towns and in each."""
 
 from __future__ import annotations
 
@@ -44,11 +44,17 @@ def compared_decisions(folder: Path) -> int:
         return 0
 
 
-def comparison_table(comparison: dict[str, Any]) -> Table:
-    """Return a table with a row a driver; the return is shown with its 95 % interval."""
-    drivers: dict[str, dict[str, float]] = comparison["drivers"]
+def comparison_tables(comparison: dict[str, Any]) -> list[Table]:
+    """Return a table with a row a driver; where there are several towns, one for each before that for all."""
+    version, towns = comparison["policy_version"], comparison.get("towns", {})
+    tables = [_table(version, f" in {town}", drivers) for town, drivers in towns.items()]
+    return [*tables, _table(version, f" in {comparison['town']}" if towns else "", comparison["drivers"])]
+
+
+def _table(version: int, where: str, drivers: dict[str, dict[str, float]]) -> Table:
+    """Draw the scores of each driver; the return has its 95 % interval."""
     episodes = int(drivers["policy"]["episodes"])
-    title = f"policy {comparison['policy_version']} and others, {episodes} episodes each, ± 95 %"
+    title = f"policy {version} and others{where}, {episodes} episodes each, ± 95 %"
     table = Table(title=title, pad_edge=False)  # fits a terminal of 80 columns
     table.add_column("driver")
     table.add_column("return", justify="right")

@@ -21,9 +21,16 @@ from athrl.options import CertificatesOption, RunFileOption, SetOption, override
 from athrl.services import CHECKPOINT_SECONDS
 from athrl.single_role import require_all_roles
 from athrl.stopping import stop_on_signal
-from athrl.train.closing import compared_decisions, comparison_table, read_comparison
+from athrl.train.closing import compared_decisions, comparison_tables, read_comparison
 from athrl.train.display import Display
-from athrl.train.plan import Plan, actors_that_fit, require_services, require_world
+from athrl.train.plan import (
+    CoreDivision,
+    Plan,
+    divide_cores,
+    require_services,
+    require_world,
+    usable_cores,
+)
 from athrl.train.session import STOP_SECONDS, TrainingSession
 from athrl.train.supervisor import Supervisor
 
@@ -38,7 +45,7 @@ def train(
         str | None, typer.Option(metavar="RUN", help="The run's name; another name, another folder.")
     ] = None,
     actors: Annotated[
-        int | None, typer.Option(min=1, help="Actors; by default as many as processors beside the learner's.")
+        int | None, typer.Option(min=1, help="Actors; by default as many as the learner needs.")
     ] = None,
     resume: Annotated[
         str | None, typer.Option(metavar="RUN", help="Go on with an interrupted run, by its name or folder.")
@@ -65,6 +72,7 @@ def train(
     and leaves a checkpoint; a second one stops at once.
     """
     require_services()
+    runs.know_planners()
     given = [*overrides(settings), *(["serial.enabled=true"] if serial else [])]
     plan = _plan(run_file, given, name, resume)
     _require_fitting(plan, actors, stop_at)
@@ -73,21 +81,23 @@ def train(
     if plan.settings.serial.enabled:
         finished = _run_serially(plan, stop_at)
     else:
-        finished = _run_distributed(plan, actors or actors_that_fit(), viewer_port, certificates)
+        division = divide_cores(usable_cores(), threads=plan.settings.learner.threads, actors=actors)
+        finished = _run_distributed(plan, division, viewer_port, certificates)
     if not finished:
         say(f"stopped; to go on: {_to_go_on(plan)}")
         raise typer.Exit(INTERRUPTED)
-    Console().print(comparison_table(read_comparison(plan.folder, since=began)))
+    for table in comparison_tables(read_comparison(plan.folder, since=began)):
+        Console().print(table)
     print(f"policy: {plan.folder / 'policies' / 'latest.onnx'}")
 
 
-def _run_distributed(plan: Plan, actors: int, viewer_port: int, certificates: Path | None) -> bool:
+def _run_distributed(plan: Plan, division: CoreDivision, viewer_port: int, certificates: Path | None) -> bool:
     """Run learner, actors and evaluator as processes; whether the run is finished."""
     require_all_roles(use_certificates(plan.settings.network.certificates) or certificates)
     with Display() as display:
         supervisor = Supervisor(display.say)
         with stop_on_signal(before_exit=supervisor.kill, within=STOP_SECONDS) as stop:
-            return TrainingSession(plan, supervisor, display, actors, viewer_port).run(stop)
+            return TrainingSession(plan, supervisor, display, division, viewer_port).run(stop)
 
 
 def _run_serially(plan: Plan, stop_at: int | None) -> bool:

@@ -15,7 +15,7 @@ from athrl.errors import CommandError
 from athrl.stopping import LIFELINE
 
 # Numerical libraries start a thread for every core unless told otherwise; the services share the cores.
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass
@@ -24,14 +24,14 @@ class ServiceProcess:
 
     It lives in a session of its own, so that Ctrl-C in the terminal reaches `athrl train` alone, which then
     stops the services in order. Its standard input is a pipe that nobody writes to: it ends when this process
-    does, and the service stops (`athrl.stopping`).
+    does, and the service stops (`athrl.stopping`). `threads` is how many its numerical libraries start.
     """
 
     name: str
     arguments: list[str]
     log: Path
     niceness: int = 0
-    one_thread: bool = True
+    threads: int = 1
     command: list[str] = field(default_factory=lambda: [sys.executable, "-m", "athrl"])
     started_at: float = field(default=0.0, init=False)
     _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
@@ -40,8 +40,7 @@ class ServiceProcess:
     def start(self, extra_arguments: list[str] | None = None) -> None:
         """Start the process; what it says is appended to its log."""
         environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}
-        if self.one_thread:
-            environment.update(dict.fromkeys(_ONE_THREAD, "1"))
+        environment.update(dict.fromkeys(_THREADS, str(self.threads)))
         try:
             self.log.parent.mkdir(parents=True, exist_ok=True)
             log = self.log.open("ab")

@@ -15,7 +15,7 @@ from athrl.run_view import RunSnapshot, RunView
 from athrl.services import CHECKPOINT_SECONDS
 from athrl.train import simulation
 from athrl.train.display import Display
-from athrl.train.plan import Plan, is_free
+from athrl.train.plan import CoreDivision, Plan, is_free
 from athrl.train.supervisor import Supervisor
 
 START_SECONDS = 120.0
@@ -32,13 +32,19 @@ class TrainingSession:
     """One run: its services under a supervisor, shown by a display."""
 
     def __init__(
-        self, plan: Plan, supervisor: Supervisor, display: Display, actor_count: int, viewer_port: int
+        self,
+        plan: Plan,
+        supervisor: Supervisor,
+        display: Display,
+        division: CoreDivision,
+        viewer_port: int,
     ) -> None:
         self._plan = plan
         self._supervisor = supervisor
         self._display = display
-        self._learner = plan.learner()
-        self._actors = [plan.actor(number) for number in range(1, actor_count + 1)]
+        self._division = division
+        self._learner = plan.learner(division.threads)
+        self._actors = [plan.actor(number) for number in range(1, division.actors + 1)]
         self._evaluator = plan.evaluator()
         self._viewer_port = viewer_port
         self._comparison_until = 0.0
@@ -60,6 +66,7 @@ class TrainingSession:
 
     def _run(self, stop: threading.Event) -> bool:
         self._display.say(f"run {self._plan.settings.run.name} in {self._plan.folder}: starting the learner")
+        self._display.say(str(self._division))
         require_free(self._plan.settings.network.listen)
         self._supervisor.start(self._learner)
         with ExitStack() as stack:

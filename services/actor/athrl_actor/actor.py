@@ -1,9 +1,10 @@
 """The actor: drives environments with the run's newest policy and streams what happens to the learner.
 
 Started with an address and a run's name, it asks the learner for the run file. When the learner is away it
-drives on until as many chunks are unacknowledged as the run file allows, then waits; it goes on when the
-learner is back. Environments that raise or stall begin anew; an actor whose environments do so again and
-again leaves. It ends when the run is finished or `stop` is set, and hands over first what it has.
+drives on until as many chunks are unacknowledged as the run file allows, then waits, and continues when the
+learner is back. The environments are made when the first policy has come, which says what kind of action it
+decides. Those that raise or stall are made again; an actor whose environments do so again and again leaves.
+It ends when the run is finished or `stop` is set, and hands over first what it has.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections import deque
 from contextlib import ExitStack
 
 import zenoh
-from athrl_driving.policy import EnvironmentFailure, GuardedBatch, environment_config
+from athrl_driving.policy import EnvironmentFailure, GuardedBatch, environment_config, spread_towns
 from athrl_protocol import (
     Chunk,
     ChunkUploader,
@@ -70,17 +71,16 @@ class Actor:
     def __init__(
         self, session: zenoh.Session, run_file: RunFile, name: str, stop: threading.Event, stack: ExitStack
     ) -> None:
-        """Make environments and connections; what must be closed is put on `stack`."""
+        """Make the connections; what must be closed, the environments as well, is put on `stack`."""
         run, incarnation = run_file.run.name, new_incarnation()
         self._run_file = run_file
         self._stop = stop
-        # Before the environments: the policy comes while they are made.
+        self._stack = stack
         self._policies = stack.enter_context(PolicySubscriber(session, run))
         self._states = stack.enter_context(StateSubscriber(session, run))
-        self._batch = _make_batch(run_file)
-        stack.callback(self._batch.close)
         self._rollout = Rollout(
-            self._batch,
+            self._make_batch,
+            run_file.actor.environments,
             ActorSeeds(run_file.run.seed, name, incarnation),
             actor=name,
             incarnation=incarnation,
@@ -107,6 +107,11 @@ class Actor:
         self._delivery_seconds = 0.0  # from a policy's publication to its first use
         self._lag = PolicyLag(run_file.actor.policy_lag_versions, self._policies.ask)
         self._failures = FailureCount(run_file.actor.failures_allowed)
+
+    def _make_batch(self, action_kind: str) -> GuardedBatch:
+        batch = make_batch(self._run_file, action_kind)
+        self._stack.callback(batch.close)
+        return batch
 
     def run(self) -> None:
         """Drive to the end, then hand over what is left; so also where driving ends with an error."""
@@ -230,16 +235,17 @@ class Actor:
         return values
 
     def _show(self, moment: Moment) -> None:
-        self._frames.publish(frame_of_moment(self._run_file.environment.town, moment))
+        self._frames.publish(frame_of_moment(moment))
 
 
-def _make_batch(run_file: RunFile) -> GuardedBatch:
+def make_batch(run_file: RunFile, action_kind: str) -> GuardedBatch:
+    """The environments of an actor, in the run's towns by their shares."""
     settings, actor = run_file.environment.model_dump(), run_file.actor
-    town = settings.pop("town")
+    shares = settings.pop("towns")
     return GuardedBatch(
-        town,
+        spread_towns(shares, actor.environments),
         environment_config(**settings),
-        actor.environments,
+        action_kind,
         seconds=actor.stall_seconds,
         recorded=run_file.longest_chunk,
     )

@@ -80,6 +80,7 @@ class ChunkCutter:
             level: np.zeros((environments, sequences, state), np.float32)
             for level, (_, state) in levels.items()
         }
+        self._remembering = [level for level, (_, state) in levels.items() if state]
 
     def begin(self, row: int, episode_seed: int) -> None:
         """Start an episode in one environment, which has been reset.
@@ -104,17 +105,15 @@ class ChunkCutter:
         The arrays are copied.
 
         Args:
-            states: of each level float32 [batch, s], the recurrent state before the decision.
+            states: of each level with a memory float32 [batch, s], before the decision.
             actions: of each level float32 [batch, n], physical units, noise included.
             policy_version: that decided.
             ended: environments whose episode the decision ended; False if it only met the time limit.
         """
         if self._place == len(self._policy_version):
             self._move_to_the_front()
-        for row in self._at_a_seam():
-            number = self._pending(row) // self._interval
-            for level, column in self._states.items():
-                column[row, number] = states[level][row]
+        if self._remembering:
+            self._keep_states(states)
         for level, column in self._actions.items():
             column[self._place] = actions[level]
         self._policy_version[self._place] = policy_version
@@ -184,6 +183,13 @@ class ChunkCutter:
         """Environments of which a sequence ends, or begins, here and now."""
         return self._phases[self._place % self._interval]
 
+    def _keep_states(self, states: Arrays) -> None:
+        """Keep the states with which a sequence begins."""
+        for row in self._at_a_seam():
+            number = self._pending(row) // self._interval
+            for level in self._remembering:
+                self._states[level][row, number] = states[level][row]
+
     def _full_or_old(self) -> list[int]:
         """Environments whose chunk has no room for another sequence, or has waited for long enough."""
         rows = self._at_a_seam()
@@ -226,7 +232,7 @@ class ChunkCutter:
             levels={
                 level: LevelColumns(
                     actions=_padded(actions[places, row], steps),
-                    rewards=rewards,  # both levels have the task's
+                    rewards=rewards,  # every level has the task's
                     states=self._states[level][row, :sequences].copy(),
                 )
                 for level, actions in self._actions.items()

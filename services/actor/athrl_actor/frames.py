@@ -8,17 +8,17 @@ from athrl_protocol.frame import frame_of
 from athrl_actor.rollout import Moment
 
 
-def frame_of_moment(town: str, moment: Moment) -> Frame:
+def frame_of_moment(moment: Moment) -> Frame:
     """Describe a moment."""
     return frame_of(
         moment.environment.scene(),
         moment.image,
         driver="policy",
-        town=town,
+        town=moment.town,
         policy_version=moment.policy_version,
         episode_seed=moment.episode_seed,
         step=moment.step,
-        intention=moment.intention,
+        decision=moment.decision,
         reward=moment.reward,
         episode_return=moment.episode_return,
     )

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import onnx
@@ -30,6 +31,18 @@ from athrl_protocol import (
     open_session,
     serve_run_file,
 )
+from athrl_spaces import (
+    WAYPOINT,
+    WAYPOINT_SET,
+    Continuous,
+    Epsilon,
+    LevelDescription,
+    Limits,
+    Noise,
+    Observation,
+    PolicyDescription,
+    action_kind,
+)
 
 RUN_FILE = {
     "run": {"name": "test"},
@@ -38,33 +51,42 @@ RUN_FILE = {
     "actor": {"environments": 2, "unacknowledged_chunks": 8, "sequences_per_chunk": 2},
 }
 
-NOISE = {"noise": "ornstein-uhlenbeck", "noise_scale": 0.2, "damping": 0.15}
-METADATA = {
-    "schema_version": 1,
-    "planner": "test",
-    "observation": {"image": [32, 32, 4], "motion": ["speed_over_8", "steering_over_0.3"]},
-    "levels": [
-        {
-            "name": "intention",
-            "state_size": 3,
-            "actions": [{"name": "intention", "unit": "", "low": 0, "high": 2, **NOISE}],
-        },
-        {
-            "name": "trajectory",
-            "state_size": 2,
-            "actions": [
-                {"name": "target_speed", "unit": "m/s", "low": 0, "high": 7.95, **NOISE},
-                {"name": "waypoint_angle", "unit": "rad", "low": -0.52, "high": 0.52, **NOISE},
-            ],
-        },
-    ],
-}
+NOISE, EPSILON = Noise(0.1, 0.3), Epsilon(0.1, 0.5)
+TARGET_SPEED, WAYPOINT_ANGLE = action_kind(WAYPOINT).describe(Limits())
+BEHAVIOUR, PLACE = action_kind(WAYPOINT_SET).describe(Limits())
+
+REMEMBERING = PolicyDescription(
+    planner="test",
+    action_kind=WAYPOINT,
+    limits=Limits(),
+    observation=Observation(32),
+    levels=(
+        LevelDescription("intention", (Continuous("intention", "", 0.0, 2.0, NOISE),), 3),
+        LevelDescription(
+            "trajectory",
+            (replace(TARGET_SPEED, exploration=NOISE), replace(WAYPOINT_ANGLE, exploration=NOISE)),
+            2,
+        ),
+    ),
+)
+CHOOSING = PolicyDescription(
+    planner="test",
+    action_kind=WAYPOINT_SET,
+    limits=Limits(),
+    observation=Observation(32),
+    levels=(
+        LevelDescription(
+            "choice", (replace(BEHAVIOUR, exploration=EPSILON), replace(PLACE, exploration=EPSILON))
+        ),
+    ),
+)
 
 # Drives straight on; the states count the decisions of an episode, which tells what a chunk should hold.
-GRAPH = """
+REMEMBERING_GRAPH = """
 <ir_version: 8, opset_import: ["" : 17]>
 policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,3] intention_state, float[N,2] trajectory_state,
-        float[N,1] intention_noise, float[N,1] forced_intention)
+        float[N,1] intention_noise, float[N,1] forced_intention,
+        float[N,2] trajectory_noise, float[N,2] forced_trajectory)
     => (float[N,1] intention, float[N,2] trajectory,
         float[N,3] next_intention_state, float[N,2] next_trajectory_state)
 {
@@ -83,17 +105,47 @@ policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,3] intention_state, f
     speed = Add (intention, two)
     still = ReduceMean <axes: ints = [1], keepdims: int = 1> (motion)
     angle = Mul (still, nothing)
-    trajectory = Concat <axis: int = 1> (speed, angle)
+    planned = Concat <axis: int = 1> (speed, angle)
+    noisy_plan = Add (planned, trajectory_noise)
+    free_plan = IsNaN (forced_trajectory)
+    chosen_plan = Where (free_plan, noisy_plan, forced_trajectory)
+    above_low = Max (chosen_plan, low)
+    trajectory = Min (above_low, high)
     next_intention_state = Add (intention_state, one)
     next_trajectory_state = Add (trajectory_state, two)
 }
 """
 
+# Drives at full speed to the place just left of straight ahead; has no memory.
+CHOOSING_GRAPH = """
+<ir_version: 8, opset_import: ["" : 17]>
+policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,2] forced_choice) => (float[N,2] choice)
+{
+    nothing = Constant <value_float: float = 0.0> ()
+    pixels = Cast <to: int = 1> (image)
+    bright = ReduceMean <axes: ints = [1, 2, 3], keepdims: int = 0> (pixels)
+    row = Unsqueeze (bright, axis)
+    unlit = Mul (row, nothing)
+    still = Mul (motion, nothing)
+    nowhere = Add (unlit, still)
+    fixed = Add (nowhere, favourite)
+    free = IsNaN (forced_choice)
+    choice = Where (free, fixed, forced_choice)
+}
+"""
+FAVOURITE = np.array([2.0, 11.0], np.float32)
 
-def make_artefact() -> bytes:
-    model = onnx.parser.parse_model(GRAPH)
-    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([1]), "axis"))
-    onnx.helper.set_model_props(model, {"athrl": json.dumps(METADATA)})
+
+def make_artefact(description: PolicyDescription) -> bytes:
+    model = onnx.parser.parse_model(REMEMBERING_GRAPH if description.levels[0].state_size else CHOOSING_GRAPH)
+    constants = {"axis": np.array([1])}
+    if description.levels[0].state_size:
+        constants |= {"low": description.levels[1].low, "high": description.levels[1].high}
+    else:
+        constants["favourite"] = FAVOURITE
+    for name, value in constants.items():
+        model.graph.initializer.append(onnx.numpy_helper.from_array(value, name))
+    onnx.helper.set_model_props(model, {"athrl": description.to_json()})
     return model.SerializeToString()
 
 
@@ -128,12 +180,19 @@ class Learner:
         self.ledger = self.intake.ledger()
         self._stack.close()
 
-    def publish(self, version: int, *, uniform: bool = False, noise_scale: float = 1.0) -> None:
+    def publish(
+        self,
+        version: int,
+        *,
+        uniform: bool = False,
+        noise_scale: float = 1.0,
+        choosing: bool = False,
+    ) -> None:
         self.version = version
         self.policies.publish(
             PolicyUpdate(
                 version=version,
-                artefact=make_artefact(),
+                artefact=make_artefact(CHOOSING if choosing else REMEMBERING),
                 uniform_exploration=uniform,
                 noise_scale=noise_scale,
                 updates=0,
@@ -171,7 +230,7 @@ class Learner:
 @pytest.fixture(scope="session", autouse=True)
 def compiled_town() -> None:
     """Have the simulation compiled before an actor is waited for: that takes its time once."""
-    EnvironmentBatch("town03", {"vehicles_count": 1}, 1).close()
+    EnvironmentBatch(["town03"], {"vehicles_count": 1}).close()
 
 
 @pytest.fixture

@@ -198,7 +198,7 @@ def test_failures_of_long_ago_are_forgiven() -> None:
 
 def test_time_in_which_the_process_was_paused_is_no_stall(monkeypatch) -> None:
     """After SIGCONT a wait has ended by the clock, although the environments had no time to answer."""
-    batch = guard.GuardedBatch("town03", {"vehicles_count": 2}, 1, seconds=5)
+    batch = guard.GuardedBatch(["town03"], {"vehicles_count": 2}, seconds=5)
     batch.reset(0, 1)
     batch.reset(0, 2)
     get, waits = guard.SimpleQueue.get, []

@@ -266,6 +266,8 @@ def test_frames_flow_while_somebody_watches(learner, start: Start):
     assert set(frame.reward_terms) >= {"collision", "speed"}
     assert sum(frame.reward_terms.values()) == pytest.approx(frame.reward, abs=1e-3)
     assert {frame.step for frame in frames} > {1, 2}
+    assert set(frame.decision) == {"intention", "target_speed", "waypoint_angle"}
+    assert 0 <= frame.decision["intention"] <= 2
 
 
 def test_the_actor_never_imports_torch():

@@ -11,7 +11,7 @@ import numpy as np
 from athrl_driving.envs import TownRow
 from athrl_driving.policy import AnyBatch
 
-from athrl_evaluator.drivers import BatchDriver
+from athrl_evaluator.drivers import BatchDriver, Decisions
 from athrl_evaluator.scores import EpisodeResult
 
 
@@ -28,7 +28,8 @@ class EpisodeStep:
     step: int  # decisions so far, this one included
     environment: TownRow
     image: np.ndarray  # uint8 [H, W, C] after the step
-    intention: float  # NaN: the driver has none
+    town: str
+    decision: Mapping[str, float]  # everything that was decided, by name; empty where no policy decides
     reward: float
     episode_return: float
     info: Mapping[str, Any]
@@ -108,7 +109,7 @@ def drive_episodes(
             if running is None:
                 continue
             running.add(float(outcome.rewards[row]), batch.info(row))
-            step = _look(running, batch, row, float(decisions.intention[row]), float(outcome.rewards[row]))
+            step = _look(running, batch, row, decisions, float(outcome.rewards[row]))
             for onlooker in onlookers:
                 onlooker.on_step(step)
             if ended[row]:
@@ -130,14 +131,15 @@ def _begin(driver: BatchDriver, batch: AnyBatch, row: int, waiting: enumerate[in
     return _Running(index=index, seed=seed)
 
 
-def _look(running: _Running, batch: AnyBatch, row: int, intention: float, reward: float) -> EpisodeStep:
+def _look(running: _Running, batch: AnyBatch, row: int, decisions: Decisions, reward: float) -> EpisodeStep:
     return EpisodeStep(
         index=running.index,
         seed=running.seed,
         step=running.steps,
         environment=batch.environments[row],
         image=batch.images[row],
-        intention=intention,
+        town=batch.towns[row],
+        decision=decisions.named_values(row),
         reward=reward,
         episode_return=running.episode_return,
         info=running.last_info,

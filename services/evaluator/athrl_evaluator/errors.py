@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 class EvaluatorError(RuntimeError):
-    """The disk does not take what an evaluation leaves behind; `str()` of it is one line."""
+    """Something that the user can mend, such as a disk that is full; `str()` of it is one line."""
 
 
 @contextmanager

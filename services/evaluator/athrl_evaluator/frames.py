@@ -9,17 +9,17 @@ from athrl_evaluator.drivers import BatchDriver
 from athrl_evaluator.episodes import EpisodeStep
 
 
-def frame_of_step(driver: BatchDriver, town: str, step: EpisodeStep) -> Frame:
+def frame_of_step(driver: BatchDriver, step: EpisodeStep) -> Frame:
     """Describe the moment after a step."""
     return frame_of(
         step.environment.scene(),
         step.image,
         driver=driver.name,
-        town=town,
+        town=step.town,
         policy_version=driver.policy_version,
         episode_seed=step.seed,
         step=step.step,
-        intention=step.intention,
+        decision=step.decision,
         reward=step.reward,
         episode_return=step.episode_return,
     )

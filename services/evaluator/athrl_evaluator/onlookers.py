@@ -26,7 +26,6 @@ class Recorder(Onlooker):
     def __init__(
         self,
         driver: BatchDriver,
-        town: str,
         folder: Path,
         *,
         episodes: int,
@@ -43,13 +42,12 @@ class Recorder(Onlooker):
         `needed`, EvaluatorError ends the evaluation.
         """
         self._driver = driver
-        self._town = town
         self._folder = folder
         self._episodes = episodes
         self._kept = kept
         self._needed = needed
         self._broadcast = broadcast
-        self._named = named or _name_of(driver)
+        self._named = named or name_of(driver)
         self._gave_up = False
         self._open: dict[int, EpisodeRecording] = {}
         self._first_episode: list[Frame] = []
@@ -58,7 +56,7 @@ class Recorder(Onlooker):
         """Write a frame."""
         if step.index >= self._episodes:
             return
-        frame = frame_of_step(self._driver, self._town, step)
+        frame = frame_of_step(self._driver, step)
         if step.index == 0:
             self._first_episode.append(frame)
         if self._gave_up:
@@ -100,5 +98,6 @@ class Recorder(Onlooker):
             self._gave_up = True
 
 
-def _name_of(driver: BatchDriver) -> str:
+def name_of(driver: BatchDriver) -> str:
+    """What recordings of a driver are named after: it, and a policy's version."""
     return f"policy-{driver.policy_version:06d}" if driver.name == "policy" else driver.name

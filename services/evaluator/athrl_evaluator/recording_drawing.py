@@ -12,7 +12,7 @@ from athrl_protocol import Frame, ProtocolError, decode_frame
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 
-from athrl_evaluator.drawing import APPLICATION, SceneDrawing, default_blueprint
+from athrl_evaluator.drawing import APPLICATION, SceneDrawing, make_blueprint
 from athrl_evaluator.recordings import FRAME_TOPIC
 
 
@@ -56,7 +56,7 @@ def _opened(path: Path) -> BinaryIO:
 def draw_recording(recording: Path, rerun_file: Path) -> None:
     """Draw the episode of an MCAP file into a rerun file."""
     stream = rr.RecordingStream(APPLICATION)
-    stream.save(rerun_file, default_blueprint=default_blueprint())
+    stream.save(rerun_file, default_blueprint=make_blueprint())
     try:
         drawing = SceneDrawing(stream)
         for frame in read_frames(recording):

@@ -6,9 +6,10 @@ import errno
 import json
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from athrl_protocol import EvaluationResult
 
@@ -46,18 +47,25 @@ class ResultsFolder:
     def write_comparison(self, run: str, results: Sequence[EvaluationResult]) -> None:
         """Write the closing comparison, `evaluation.json`; the file is whole or absent.
 
+        Where there are several towns, `towns` has the drivers' scores in each beside those over all.
+
         Raises:
             EvaluatorError: the disk does not take it.
         """
         policy = next(result for result in results if result.driver == "policy")
-        document = {
+        document: dict[str, Any] = {
             "run": run,
             "town": policy.town,
             "seed": policy.seed,
             "policy_version": policy.policy_version,
             "environment_steps": policy.environment_steps,
-            "drivers": {result.driver: result.scores for result in results},
+            "drivers": {result.driver: scores_over_all(result.scores) for result in results},
         }
+        towns = dict.fromkeys(town for _, town, _ in _told_apart(policy.scores) if town)
+        if towns:
+            document["towns"] = {
+                town: {result.driver: scores_in(town, result.scores) for result in results} for town in towns
+            }
         part = self._closing.with_name(self._closing.name + ".part")
         with writing(self._closing):
             try:
@@ -65,6 +73,23 @@ class ResultsFolder:
                 os.replace(part, self._closing)
             finally:
                 part.unlink(missing_ok=True)
+
+
+def scores_over_all(scores: Mapping[str, float]) -> dict[str, float]:
+    """Of a driver's scores those over all towns."""
+    return scores_in("", scores)
+
+
+def scores_in(town: str, scores: Mapping[str, float]) -> dict[str, float]:
+    """Of a driver's scores in several towns, which are called `town/score`, those in one of them."""
+    return {name: scores[full] for full, of, name in _told_apart(scores) if of == town}
+
+
+def _told_apart(scores: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
+    """Yield each full name, the town in it, which may be empty, and the score's own."""
+    for full_name in scores:
+        town, _, name = full_name.rpartition("/")
+        yield full_name, town, name
 
 
 def append(content: bytes, path: Path) -> None:

@@ -14,12 +14,13 @@ from athrl_protocol.run_file import RunFile
 
 from athrl_evaluator.broadcast import Broadcast
 from athrl_evaluator.drivers import REFERENCE_DRIVERS
+from athrl_evaluator.environments import Environments, town_labels
 from athrl_evaluator.episodes import Onlooker, drive_episodes
-from athrl_evaluator.evaluate import make_batch, make_batch_driver
+from athrl_evaluator.evaluate import make_batch_driver
 from athrl_evaluator.event_files import EventFiles
-from athrl_evaluator.onlookers import Recorder
+from athrl_evaluator.onlookers import Recorder, name_of
 from athrl_evaluator.results import ResultsFolder
-from athrl_evaluator.scores import Scores, score
+from athrl_evaluator.scores import EpisodeResult, score
 
 ENVIRONMENTS = 8  # stepped together
 
@@ -39,7 +40,7 @@ class Scoring:
         onlookers: Sequence[Onlooker] = (),
         broadcast: Broadcast | None = None,
     ) -> None:
-        """Make the environments; `stack` closes them.
+        """Environments are made when they are needed; `stack` closes them.
 
         Args:
             run_file: the run's settings.
@@ -57,17 +58,18 @@ class Scoring:
         self._broadcast = broadcast
         self.episodes_done = 0
         self.files = EventFiles(folder.tensorboard)
-        self._batch = make_batch(
+        self._environments = Environments(
             run_file.environment,
             min(ENVIRONMENTS, self._settings.episodes),
             run_file.actor.stall_seconds,
         )
-        stack.callback(self._batch.close)
+        self._labels = town_labels(self._environments.towns)
+        stack.callback(self._environments.close)
 
     def score_policy(
         self, update: PolicyUpdate, *, recorded: bool = True, stop: threading.Event | None = None
     ) -> EvaluationResult:
-        """Score a policy on the few episodes that there is time for while training.
+        """Score a policy on the few episodes in each town that there is time for while training.
 
         Raises:
             InvalidPolicy: it cannot be run.
@@ -81,10 +83,12 @@ class Scoring:
     def compare(self, update: PolicyUpdate, stop: threading.Event | None = None) -> None:
         """Score the last policy and the reference drivers on the same episodes, and write the comparison.
 
+        What a policy scores in several towns is told as a whole, and of each town as `town/score`.
+
         Raises as `score_policy` does.
         """
         drivers: list[OnnxPolicy | str] = [OnnxPolicy(update.artefact), *REFERENCE_DRIVERS]
-        recorded = max(1, self._settings.recordings_kept // len(drivers))
+        recorded = max(1, self._settings.recordings_kept // (len(drivers) * len(self._labels)))
         results = []
         for driver in drivers:
             scores = self._drive(driver, update, self._settings.final_episodes, recorded, stop)
@@ -99,37 +103,60 @@ class Scoring:
         episodes: int,
         recorded: int,
         stop: threading.Event | None,
-    ) -> Scores:
+    ) -> dict[str, float]:
+        """Drive so many episodes in each town; the scores."""
+        results = {
+            label: self._drive_in(town, driver, update, episodes, recorded, stop)
+            for town, label in self._labels.items()
+        }
+        scores = score([result for in_town in results.values() for result in in_town]).as_dict()
+        if len(results) > 1:
+            for label, in_town in results.items():
+                scores |= {f"{label}/{name}": value for name, value in score(in_town).as_dict().items()}
+        return scores
+
+    def _drive_in(
+        self,
+        town: str,
+        driver: OnnxPolicy | str,
+        update: PolicyUpdate,
+        episodes: int,
+        recorded: int,
+        stop: threading.Event | None,
+    ) -> list[EpisodeResult]:
         version = update.version if isinstance(driver, OnnxPolicy) else 0
-        drives = make_batch_driver(driver, len(self._batch), version)
+        drives = make_batch_driver(driver, min(ENVIRONMENTS, self._settings.episodes), version)
+        batch = self._environments.batch(town, drives.action_kind)
+        name = name_of(drives)
         recorder = Recorder(
             drives,
-            self._run_file.environment.town,
             self._folder.recordings,
             episodes=recorded,
             kept=self._settings.recordings_kept,
             broadcast=self._broadcast,
+            named=name if len(self._labels) == 1 else f"{name}-{self._labels[town]}",
         )
         seeds = range(self._settings.seed, self._settings.seed + episodes)
         try:
-            results = drive_episodes(drives, self._batch, seeds, [recorder, *self._onlookers], stop)
+            results = drive_episodes(drives, batch, seeds, [recorder, *self._onlookers], stop)
         finally:
             recorder.close()
         self.episodes_done += len(results)
-        return score(results)
+        return results
 
-    def _take_result(self, driver: str, update: PolicyUpdate, scores: Scores) -> EvaluationResult:
+    def _take_result(self, driver: str, update: PolicyUpdate, scores: dict[str, float]) -> EvaluationResult:
         """Write down what a driver scored, then tell it."""
+        towns = list(self._labels)
         result = EvaluationResult(
             driver=driver,
             policy_version=update.version if driver == "policy" else 0,
             environment_steps=update.environment_steps,
-            town=self._run_file.environment.town,
+            town=towns[0] if len(towns) == 1 else f"{len(towns)} towns",
             seed=self._settings.seed,
-            scores=scores.as_dict(),
+            scores=scores,
         )
         self._folder.add(result)
         self.files.add(f"evaluation/{driver}", result.scores, update.environment_steps, time.time())
         self._tell(result)
-        log.info("%s, version %d: return %.0f", driver, update.version, scores.return_mean)
+        log.info("%s, version %d: return %.0f", driver, update.version, scores["return_mean"])
         return result

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from itertools import takewhile
 from pathlib import Path
+from typing import NamedTuple
 
 import rerun as rr
 import zenoh
@@ -28,7 +29,7 @@ from athrl_protocol import (
 )
 from athrl_protocol.run_file import NetworkSection
 
-from athrl_evaluator.drawing import APPLICATION, SceneDrawing, default_blueprint
+from athrl_evaluator.drawing import APPLICATION, SceneDrawing, make_blueprint
 from athrl_evaluator.recording_drawing import read_frames
 from athrl_evaluator.viewer import free_port, proxy_address, require_screen, server_process, viewer_process
 
@@ -88,14 +89,11 @@ def watch(
             raise
         run = fetch_run_file(session, run, timeout=patience, stop=stop).run.name
         over = _over_when_gone(session, run, role, name, stack)
-        port = free_port() if serve is None else serve
-        bind = "127.0.0.1" if serve is None else bind
-        process = stack.enter_context(viewer_process(port) if serve is None else server_process(bind, port))
-        stream = _connected(bind, port, stack)
+        stream, closed, address = stack.enter_context(viewer_of(serve, bind))
         stack.enter_context(subscribe_frames(session, run, role, name, frames.put))
-        print(f"watching {role} {name}: {proxy_address(bind, port)}", flush=True)
+        print(f"watching {role} {name}: {address}", flush=True)
         drawing = SceneDrawing(stream)
-        while not stop.is_set() and process.poll() is None:
+        while not stop.is_set() and not closed():
             frame = frames.take(POLL_SECONDS)
             if frame is not None:
                 drawing.draw(frame)
@@ -115,24 +113,44 @@ def watch_recording(
     if stop.is_set():
         return
     with ExitStack() as stack:
-        port = free_port() if serve is None else serve
-        bind = "127.0.0.1" if serve is None else bind
-        process = stack.enter_context(viewer_process(port) if serve is None else server_process(bind, port))
-        drawing = SceneDrawing(_connected(bind, port, stack))
+        stream, closed, address = stack.enter_context(viewer_of(serve, bind))
+        drawing = SceneDrawing(stream)
         for frame in frames:
             if stop.is_set():
                 return
             drawing.draw(frame)
-        print(f"showing {recording}: {proxy_address(bind, port)}", flush=True)
-        while process.poll() is None and not stop.wait(POLL_SECONDS):
+        print(f"showing {recording}: {address}", flush=True)
+        while not closed() and not stop.wait(POLL_SECONDS):
             pass
 
 
-def _connected(bind: str, port: int, stack: ExitStack) -> rr.RecordingStream:
-    stream = rr.RecordingStream(APPLICATION)
-    stack.callback(stream.disconnect)
-    stream.connect_grpc(proxy_address(bind, port), default_blueprint=default_blueprint())
-    return stream
+class Viewer(NamedTuple):
+    """A stream that somebody sees."""
+
+    stream: rr.RecordingStream
+    closed: Callable[[], bool]
+    """Whether the window was closed, or the server is gone."""
+    address: str
+    """What other viewers connect to."""
+
+
+@contextmanager
+def viewer_of(serve: int | None, bind: str = "127.0.0.1") -> Iterator[Viewer]:
+    """A viewer with a window, or with `serve` a server without one that listens at `bind` and this port.
+
+    Raises:
+        ProtocolError: there is no screen, or the port is taken.
+    """
+    port = free_port() if serve is None else serve
+    bind = "127.0.0.1" if serve is None else bind
+    address = proxy_address(bind, port)
+    with viewer_process(port) if serve is None else server_process(bind, port) as process:
+        stream = rr.RecordingStream(APPLICATION)
+        try:
+            stream.connect_grpc(address, default_blueprint=make_blueprint())
+            yield Viewer(stream, lambda: process.poll() is not None, address)
+        finally:
+            stream.disconnect()
 
 
 def _over_when_gone(

@@ -1,7 +1,6 @@
 """A small untrained policy of the real planner, and a learner's announcements over real Zenoh."""
 
 import json
-import math
 import socket
 import threading
 import time
@@ -28,41 +27,28 @@ from athrl_protocol import (
 RUN_FILE = {
     "run": {"name": "test"},
     "environment": {"vehicles": 4, "episode_ticks": 40},
+    "replay": {"sequence_length": 4},
     "evaluator": {"episodes": 3, "final_episodes": 2, "seconds_between": 0.0, "recordings_kept": 8},
 }
 
 
+def untrained(kind: str, **settings: object) -> bytes:
+    """A small policy of one of the real planners."""
+    from athrl_planners import PolicyExporter, make_agent
+
+    values = {"hidden_features": 16, "head_features": 16, **settings}
+    return PolicyExporter(make_agent(kind, values, seed=1)).artefact()
+
+
 @pytest.fixture(scope="session")
 def artefact() -> bytes:
-    from athrl_planners import (
-        ActionRange,
-        AtHRL,
-        ObservationSettings,
-        PlannerSettings,
-        PolicyExporter,
-    )
+    return untrained("athrl", memory="lstm", recurrent_features=8)
 
-    settings = PlannerSettings(
-        hidden_features=16,
-        recurrent_features=8,
-        discount=0.97,
-        learning_rate=3e-4,
-        soft_target=0.005,
-        reward_scale=0.02,
-        saturation_penalty=0.02,
-        twin_critics=True,
-        actor_delay=2,
-        target_noise=0.1,
-        intention_gradient=1.0,
-        gradient_norm=10.0,
-        average_decay=0.99,
-        burn_in=2,
-    )
-    speed = ActionRange("target_speed", "m/s", 0.0, 7.95, "ornstein-uhlenbeck", 0.2, 0.15)
-    angle = ActionRange("waypoint_angle", "rad", -math.pi / 6, math.pi / 6, "gaussian", 0.1)
-    intention = ActionRange("intention", "", 0.0, 2.0, "ornstein-uhlenbeck", 0.2, 0.15)
-    actions = {"intention": (intention,), "trajectory": (speed, angle)}
-    return PolicyExporter(AtHRL(settings, ObservationSettings(32), actions, seed=1)).artefact()
+
+@pytest.fixture(scope="session")
+def artefacts() -> dict[str, bytes]:
+    """Policies without memory, of planners with other levels or actions, by their kind."""
+    return {kind: untrained(kind) for kind in ("hddpg", "ddpg", "hdqn")}
 
 
 class Learner:
@@ -89,6 +75,13 @@ class Learner:
 
     def close(self) -> None:
         self._stack.close()
+
+    def serve(self, **environment: object) -> None:
+        """Serve a run file with other settings of the environment."""
+        section = self.run_file.environment.model_copy(update=environment)
+        self.run_file = self.run_file.model_copy(update={"environment": section})
+        self.close()
+        self.open()
 
     def publish(self, version: int, artefact: bytes | None = None) -> None:
         self.policies.publish(

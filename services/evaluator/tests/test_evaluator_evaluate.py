@@ -13,8 +13,8 @@ import pytest
 from athrl_driving.policy import InvalidPolicy, OnnxPolicy
 from athrl_evaluator import CASE_STUDIES, REFERENCE_DRIVERS, Scores, evaluate_driver
 from athrl_evaluator.drivers import GreedyPolicy
+from athrl_evaluator.environments import environment_for, make_batch
 from athrl_evaluator.episodes import drive_episodes
-from athrl_evaluator.evaluate import environment_for, make_batch
 from athrl_evaluator.policy_files import load_policy
 from athrl_evaluator.recording_drawing import read_frames
 from athrl_protocol import RunFileError
@@ -74,7 +74,7 @@ def test_a_policy_file_is_used_only_if_it_is_the_one_that_its_facts_tell_of(arte
     file, facts = tmp_path / "latest.onnx", tmp_path / "latest.json"
     file.write_bytes(artefact)
     facts.write_text(facts_of(artefact))
-    assert load_policy(file).metadata == OnnxPolicy(artefact).metadata
+    assert load_policy(file).description == OnnxPolicy(artefact).description
     at = len(artefact) // 2
     flipped = artefact[:at] + bytes([artefact[at] ^ 1]) + artefact[at + 1 :]
     file.write_bytes(flipped)
@@ -91,7 +91,7 @@ def test_a_policy_file_of_which_nothing_is_told_is_taken_as_it_is(
     file = tmp_path / "latest.onnx"
     file.write_bytes(artefact)
     file.with_suffix(".json").write_text(facts)
-    assert load_policy(file).metadata == OnnxPolicy(artefact).metadata
+    assert load_policy(file).description == OnnxPolicy(artefact).description
 
 
 def test_a_policy_that_is_published_just_now_is_waited_for(artefact: bytes, tmp_path: Path):
@@ -101,21 +101,24 @@ def test_a_policy_that_is_published_just_now_is_waited_for(artefact: bytes, tmp_
     publish = threading.Timer(0.3, file.write_bytes, (artefact,))
     publish.start()
     try:
-        assert load_policy(file).metadata == OnnxPolicy(artefact).metadata
+        assert load_policy(file).description == OnnxPolicy(artefact).description
     finally:
         publish.join()
 
 
 def test_a_policy_drives_with_the_ranges_that_it_was_trained_for(artefact: bytes):
-    other = EnvironmentSection(maximum_speed=20.0, waypoint_half_angle=80.0, image_size=64, vehicles=7)
-    fitted = environment_for(OnnxPolicy(artefact).metadata, other)
+    changed = {"maximum_speed": 20.0, "waypoint_half_angle": 80.0, "waypoint_radius": 5.0, "image_size": 64}
+    other = EnvironmentSection(**changed, vehicles=7)
+    fitted = environment_for(OnnxPolicy(artefact).description, other)
     assert (fitted.image_size, fitted.vehicles) == (32, 7)
     assert fitted.maximum_speed == pytest.approx(7.95)
+    assert fitted.waypoint_radius == 8.0
     assert math.radians(fitted.waypoint_half_angle) == pytest.approx(math.pi / 6)
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("image_size", 64), ("maximum_speed", 5.0), ("waypoint_half_angle", 45.0)]
+    ("key", "value"),
+    [("image_size", 64), ("maximum_speed", 5.0), ("waypoint_half_angle", 45.0), ("waypoint_radius", 4.0)],
 )
 def test_a_setting_that_a_policy_was_not_made_for_is_refused_by_its_name(
     artefact: bytes, key: str, value: float

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from athrl_evaluator import evaluate_driver
 from athrl_evaluator.drivers import ReferenceDriver
+from athrl_evaluator.environments import make_batch
 from athrl_evaluator.episodes import drive_episodes
 from athrl_evaluator.errors import EvaluatorError
-from athrl_evaluator.evaluate import make_batch
 from athrl_evaluator.event_files import EventFiles
 from athrl_evaluator.onlookers import Recorder
 from athrl_evaluator.results import ResultsFolder
@@ -53,7 +53,7 @@ def test_recordings_that_were_asked_for_and_do_not_fit_end_the_evaluation_and_le
 def test_a_run_is_scored_though_its_recordings_do_not_fit(small_disk, caplog):
     fill(small_disk)
     driver = ReferenceDriver("rule-based", 2)
-    recorder = Recorder(driver, "town03", small_disk, episodes=2, kept=10)
+    recorder = Recorder(driver, small_disk, episodes=2, kept=10)
     results = drive_episodes(driver, make_batch(ENVIRONMENT, 2), [1, 2, 3], [recorder])
     assert len(results) == 3
     assert caplog.text.count("is not recorded any more") == 1

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import rerun_cli
 from athrl_evaluator.drivers import ReferenceDriver
+from athrl_evaluator.environments import make_batch
 from athrl_evaluator.episodes import drive_episodes
-from athrl_evaluator.evaluate import make_batch
 from athrl_evaluator.onlookers import Recorder
 from athrl_evaluator.recording_drawing import InvalidRecording, draw_recording, read_frames
 from athrl_evaluator.recordings import EpisodeRecording, prune_recordings
@@ -25,7 +25,7 @@ ENVIRONMENT = EnvironmentSection(vehicles=5, episode_ticks=40)
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     folder = tmp_path_factory.mktemp("recordings")
     driver = ReferenceDriver("rule-based", 2)
-    recorder = Recorder(driver, "town03", folder, episodes=2, kept=10)
+    recorder = Recorder(driver, folder, episodes=2, kept=10)
     results = drive_episodes(driver, make_batch(ENVIRONMENT, 2), [1, 2, 3], [recorder])
     return folder, results
 

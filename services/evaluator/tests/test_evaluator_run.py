@@ -220,3 +220,42 @@ def test_a_comparison_that_cannot_be_driven_ends_with_its_reason(
         service.join()
     service.error = None
     assert not (tmp_path / "test" / "evaluation.json").exists()
+
+
+def test_run_in_several_towns_is_scored_as_a_whole_and_in_each_of_them(learner, start: Start, tmp_path: Path):
+    learner.serve(towns={"town03": 2.0, "town02": 1.0})
+    learner.publish(7)
+    learner.announce(Phase.FINISHED, 7)
+    start().join()
+    comparison = json.loads((tmp_path / "test" / "evaluation.json").read_text())
+    assert comparison["town"] == "2 towns"
+    assert list(comparison["towns"]) == ["town03", "town02"]
+    over_all, by_town = comparison["drivers"]["policy"], comparison["towns"]
+    assert set(over_all) == set(by_town["town02"]["policy"]) == SCORES
+    assert (over_all["episodes"], by_town["town02"]["policy"]["episodes"]) == (4, 2)
+    means = [drivers["policy"]["return_mean"] for drivers in by_town.values()]
+    assert over_all["return_mean"] == pytest.approx(sum(means) / 2)
+    assert learner.wait_for(lambda: len(learner.results) == 4)
+    told = {result.driver: result for result in learner.results}["policy"].scores
+    assert told["return_mean"] == over_all["return_mean"]
+    assert told["town02/return_mean"] == by_town["town02"]["policy"]["return_mean"]
+    events = EventAccumulator(str(tmp_path / "test" / "tensorboard"))
+    events.Reload()
+    assert {"evaluation/policy/return_mean", "evaluation/blind/town02/return_mean"} <= set(
+        events.Tags()["scalars"]
+    )
+    recordings = {path.name for path in (tmp_path / "test" / "recordings").glob("*.mcap")}
+    assert "policy-000007-town02-seed-1000000.mcap" in recordings
+    (frame, *_) = read_frames(tmp_path / "test" / "recordings" / "policy-000007-town02-seed-1000000.mcap")
+    assert frame.town == "town02"
+
+
+@pytest.mark.parametrize("kind", ["hdqn", "ddpg"])
+def test_policy_with_other_actions_is_compared_with_drivers_through_environments_of_their_own(
+    learner, start: Start, artefacts: dict[str, bytes], tmp_path: Path, kind: str
+):
+    learner.publish(1, artefact=artefacts[kind])
+    learner.announce(Phase.FINISHED, 1)
+    start().join()
+    comparison = json.loads((tmp_path / "test" / "evaluation.json").read_text())
+    assert set(comparison["drivers"]) == {"policy", "random", "blind", "rule-based"}

@@ -42,7 +42,7 @@ def frame(step: int) -> Frame:
         vehicles=[vehicle],
         route=[{"x": 12.0, "y": 20.0}],
         waypoint={"x": 14.0, "y": 20.0},
-        intention=1.0,
+        decision={"intention": 1.0, "target_speed": 4.0},
         reward_terms={"speed": 4.0},
         image_height=32,
         image_width=32,

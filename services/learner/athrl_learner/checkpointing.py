@@ -64,13 +64,18 @@ class Checkpointer:
         Raises:
             CheckpointFailed: the disk refuses, or is stuck with the one before.
         """
-        if self._writer is not None:
-            self._writer.join(LONGEST_WRITE)
-            if self._writer.is_alive():
-                raise CheckpointFailed(
-                    f"the disk of {self._folder} did not take a checkpoint in {LONGEST_WRITE:g} s"
-                )
+        if not self.wait():
+            raise CheckpointFailed(
+                f"the disk of {self._folder} did not take a checkpoint in {LONGEST_WRITE:g} s"
+            )
         return self._write(content)
+
+    def wait(self) -> bool:
+        """Wait for the writing under way, if there is any; whether it is over."""
+        if self._writer is None:
+            return True
+        self._writer.join(LONGEST_WRITE)
+        return not self._writer.is_alive()
 
     def _try(self, content: CheckpointContent) -> None:
         try:

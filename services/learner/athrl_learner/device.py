@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 
 import torch
+from athrl_planners.precision import faster_precision
 from athrl_protocol import RunFile
 
 from athrl_learner.errors import NoSuchDevice
@@ -29,6 +31,33 @@ def training_device(run_file: RunFile) -> str:
     )
 
 
+def training_threads(run_file: RunFile) -> int:
+    """The threads that train: as many as the run file says, or one for each core of this process."""
+    return run_file.learner.threads or len(os.sched_getaffinity(0))
+
+
+def update_precision(run_file: RunFile) -> torch.dtype:
+    """In what updates compute here; says which it is and why.
+
+    A serial run looks at no clock, so `auto` is float32 there.
+    """
+    wanted, threads = run_file.learner.precision, f"with {_counted(torch.get_num_threads(), 'thread')}"
+    if wanted != "auto":
+        log.info("updates in %s, as learner.precision says, %s", wanted, threads)
+        return torch.bfloat16 if wanted == "bfloat16" else torch.float32
+    if run_file.serial.enabled:
+        log.info("updates in float32, since a serial run measures nothing, %s", threads)
+        return torch.float32
+    device = training_device(run_file)
+    precision, speed = faster_precision(torch.device(device))
+    name = str(precision).removeprefix("torch.")
+    if device == "cpu":
+        log.info("updates in %s: bfloat16 is %.1f times as fast as float32 here, %s", name, speed, threads)
+    else:
+        log.info("updates in %s, which is the fastest that this GPU has", name)
+    return precision
+
+
 def log_device(run_file: RunFile) -> None:
     """Say where training will happen; raises as `training_device` does."""
     device = training_device(run_file)
@@ -42,3 +71,7 @@ def log_device(run_file: RunFile) -> None:
 
 def _why_none() -> str:
     return "is built without CUDA" if torch.version.cuda is None else "finds no CUDA device here"
+
+
+def _counted(number: int, name: str) -> str:
+    return f"{number} {name}" if number == 1 else f"{number} {name}s"

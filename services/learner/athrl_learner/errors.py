@@ -17,6 +17,10 @@ class NoSuchDevice(LearnerError):  # noqa: N818
     """Training was to happen on a device that this machine has not."""
 
 
+class WrongPlanner(LearnerError):  # noqa: N818
+    """There is no planner like the one that the run file describes."""
+
+
 class TooLittleMemory(LearnerError):  # noqa: N818
     """The replay is to be larger than what this machine gives."""
 
@@ -26,7 +30,15 @@ class CannotResume(LearnerError):  # noqa: N818
 
 
 class SettingsDoNotFit(CannotResume):
-    """Checkpoint or log were made with other settings."""
+    """Checkpoint or log were made with other settings.
+
+    Attributes:
+        what: does not fit.
+    """
+
+    def __init__(self, what: str, reason: str) -> None:
+        super().__init__(f"{what} does not fit the run's settings; {reason}")
+        self.what = what
 
 
 class CheckpointFailed(LearnerError):  # noqa: N818
@@ -43,6 +55,10 @@ class DiskFull(LearnerError):  # noqa: N818
 
 class LogFailed(LearnerError):  # noqa: N818
     """The log of experience cannot be written, so nothing may be acknowledged any more."""
+
+
+class Diverged(LearnerError):  # noqa: N818
+    """Training met a number that is not finite; the last checkpoint is from before that."""
 
 
 class Deadlock(LearnerError):  # noqa: N818

@@ -7,12 +7,10 @@ for hours.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
-from athrl_planners import ActionRange, ObservationSettings, Sequence
+from athrl_planners import Sequence
 from athrl_protocol import Chunk, InvalidMessage, LevelColumns
+from athrl_spaces import Action, Continuous, LevelDescription, PolicyDescription
 
 #: Physical values have been through float32 and the graph's scaling: this much beyond a range is rounding.
 _ROUNDING = 1e-4
@@ -21,28 +19,15 @@ _MOTION_LIMIT = 2.0
 _LARGEST = 1e5
 
 
-@dataclass(frozen=True)
-class ExpectedLevel:
-    """What a level's columns have to look like: its actions' ranges and the size of its recurrent state."""
-
-    actions: tuple[ActionRange, ...]
-    state_size: int
-
-
 class ChunkReader:
     """Turns chunks into sequences, and refuses those that do not fit the run."""
 
-    def __init__(
-        self,
-        observation: ObservationSettings,
-        sequence_length: int,
-        longest_chunk: int,
-        levels: Mapping[str, ExpectedLevel],
-    ) -> None:
-        self._observation = observation
+    def __init__(self, policy: PolicyDescription, sequence_length: int, longest_chunk: int) -> None:
+        """`policy` is what drives in this run."""
+        self._observation = policy.observation
         self._length = sequence_length
         self._longest = longest_chunk
-        self._levels = dict(levels)
+        self._levels = {level.name: level for level in policy.levels}
 
     def sequences(self, chunk: Chunk) -> list[Sequence]:
         """The chunk as sequences, oldest first; their arrays are the chunk's.
@@ -86,20 +71,31 @@ class ChunkReader:
             )
 
 
-def _check_level(name: str, columns: LevelColumns, expected: ExpectedLevel, chunk: Chunk) -> None:
+def _check_level(name: str, columns: LevelColumns, expected: LevelDescription, chunk: Chunk) -> None:
     _check_shape(f"{name}.actions", columns.actions, (chunk.time, len(expected.actions)))
     _check_shape(f"{name}.states", columns.states, (chunk.sequences, expected.state_size))
     for column, action in zip(columns.actions[: chunk.length].T, expected.actions, strict=True):
-        margin = _ROUNDING * action.half_range
-        if not ((column >= action.low - margin) & (column <= action.high + margin)).all():
-            raise InvalidMessage(
-                "value",
-                f"{name}.actions: {action.name} is {column.min()}..{column.max()}; "
-                f"it should be {action.low:g}..{action.high:g} {action.unit}".rstrip(),
-            )
+        _check_action(name, action, column)
     _check_size(f"{name}.rewards", columns.rewards)
     _check_size(f"{name}.actions", columns.actions)  # padding, too, goes through the networks
     _check_size(f"{name}.states", columns.states)
+
+
+def _check_action(level: str, action: Action, column: np.ndarray) -> None:
+    """A number lies in its range, a choice is one of those that there are."""
+    low, high = action.bounds
+    margin = _ROUNDING * action.half_range if isinstance(action, Continuous) else 0.0
+    fits = (column >= low - margin) & (column <= high + margin)
+    unit = f" {action.unit}" if isinstance(action, Continuous) and action.unit else ""
+    if not isinstance(action, Continuous):
+        fits &= column == np.floor(column)
+        unit = ", a whole number"
+    if not fits.all():
+        raise InvalidMessage(
+            "value",
+            f"{level}.actions: {action.name} is {column.min()}..{column.max()}; "
+            f"it should be {low:g}..{high:g}{unit}",
+        )
 
 
 def _check_motion(motion: np.ndarray) -> None:

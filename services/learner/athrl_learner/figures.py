@@ -5,6 +5,7 @@
 | `environment_steps`, `environment_steps_per_second` | decisions accepted in the run, and their rate |
 | `updates`, `updates_per_second` | updates of the planner in the run, and their rate |
 | `update_seconds` | seconds spent in updates since the last report |
+| `trained_per_second` | decisions trained in a second of these, repeats counted, padding not |
 | `replay_transitions`, `replay_fill` | transitions in the replay, and the share of its places taken |
 | `samples_per_insert` | how often a transition was drawn, on average, since the warm-up |
 | `waiting/learner`, `waiting/actors` | share of the time between two reports that one waited for the other |
@@ -13,7 +14,9 @@
 | `policy_lag`, `policy_lag/NAME` | versions by which the actor's last chunk was behind; worst first |
 | `policy_lag_seconds`, `policy_lag_seconds/NAME` | seconds since there was a newer policy than that chunk's |
 | `transitions/NAME` | accepted from that actor since this learner started |
-| `loss/LEVEL/...` | means of what the updates since the last report said |
+| `loss/LEVEL/critic_loss`, `td_error`, `value` | a level's critics: loss, mean absolute error, mean value |
+| `loss/LEVEL/actor_loss`, `saturated` | its actor: loss, share of outputs beyond +-2 before the tanh |
+| `loss/critic_gradient`, `loss/actor_gradient` | norms of all levels' gradients before clipping |
 | `checkpoints_written`, `checkpoints_failed` | since this learner started |
 | `log/bytes` | size of the log of experience |
 | `log/recovered` | chunks that this learner took in from the log when it started, beyond the checkpoint |

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from athrl_planners import AtHRL, SequenceReplay
+from athrl_planners import Agent, SequenceReplay
 
 #: Hexadecimal digits that are shown of a SHA-256.
 DIGITS = 16
 
-_OPTIMISERS = ("critic_optimiser", "actor_optimiser")
+_OPTIMISERS = ("critic_optimiser", "actor_optimiser", "random", "mirroring")
 
 
 def fingerprint(state: Any) -> str:
@@ -29,26 +29,20 @@ def fingerprint(state: Any) -> str:
     return checksum.hexdigest()[:DIGITS]
 
 
-def parameters(agent: AtHRL) -> str:
+def parameters(agent: Agent) -> str:
     """Fingerprint of all weights of the planner: online, target and averaged."""
-    return fingerprint(_parts(agent, optimisers=False))
+    return fingerprint(agent.state_dict()["networks"])
 
 
-def optimisers(agent: AtHRL) -> str:
-    """Fingerprint of the optimisers' states and of the generator of the planner's noise."""
-    return fingerprint([_parts(agent, optimisers=True), agent.state_dict()["noise"]])
+def optimisers(agent: Agent) -> str:
+    """Fingerprint of the optimisers' states and of the planner's generators."""
+    state = agent.state_dict()
+    return fingerprint([state[name] for name in _OPTIMISERS])
 
 
 def replay_content(replay: SequenceReplay) -> str:
-    """Fingerprint of the replay: its sequences in their places, its counts and its generator."""
-    return fingerprint([replay.columns(), replay.state()])
-
-
-def _parts(agent: AtHRL, *, optimisers: bool) -> dict[str, dict[str, Any]]:
-    return {
-        level: {name: part for name, part in parts.items() if (name in _OPTIMISERS) == optimisers}
-        for level, parts in agent.state_dict()["levels"].items()
-    }
+    """Fingerprint of the replay: its sequences in their places, its counts, generator and priorities."""
+    return fingerprint([replay.columns(), replay.state(), replay.priorities()])
 
 
 def _add(checksum: Any, value: Any) -> None:

@@ -6,11 +6,13 @@ import logging
 import threading
 import time
 
+from athrl_planners import TrainingDiverged
 from athrl_protocol import Phase, RunFile
 
 from athrl_learner.checkpoint import CheckpointContent
 from athrl_learner.connections import Connections
-from athrl_learner.errors import Deadlock
+from athrl_learner.divergence import diverged
+from athrl_learner.errors import Deadlock, Diverged
 from athrl_learner.parts import Parts
 from athrl_learner.snapshot import take_snapshot
 
@@ -32,7 +34,6 @@ class Learner:
         self._run_file = run_file
         self._parts = parts
         self._connections = connections
-        self._batch = run_file.learner.batch
 
     def run(self, stop: threading.Event, evaluator_deadline: float) -> bool:
         """Publish, train, end; whether the run is finished (rather than stopped).
@@ -40,17 +41,20 @@ class Learner:
         Raises:
             CheckpointFailed: the last checkpoint could not be written.
             Deadlock: actors and learner wait for each other; a checkpoint has been written.
+            Diverged: a loss is not finite; the newest checkpoint is from before that.
             LogFailed: the disk does not take what would be acknowledged.
         """
-        was_over = self._parts.store.exhausted(self._batch)
+        was_over = self._parts.store.exhausted
         self._publish()
         self._connections.reporter.report()
         try:
             self._train(stop)
+        except TrainingDiverged as error:
+            raise self._give_up(str(error)) from None
         except Deadlock:
             self._drain()
             raise
-        if self._parts.store.exhausted(self._batch):
+        if self._parts.store.exhausted:
             self._finish()
             self._linger(stop, evaluator_deadline, _EVALUATOR_COMES_WITHIN if was_over else 0.0)
             return True
@@ -59,18 +63,29 @@ class Learner:
 
     def _train(self, stop: threading.Event) -> None:
         parts = self._parts
-        while not stop.is_set() and not parts.store.exhausted(self._batch):
+        while not stop.is_set() and not parts.store.exhausted:
             if self._connections.intake.failure is not None:
                 raise self._connections.intake.failure
-            batch = parts.store.sample(self._batch, timeout=_GLANCE)
+            batch = parts.store.sample(timeout=_GLANCE)
             if batch is not None:
-                parts.trainer.update(batch)
+                parts.trainer.update(batch, parts.store.progress)
             if parts.publication.due(parts.trainer.updates):
+                parts.trainer.require_finite()
                 self._publish()
             if parts.checkpointer.due:
+                parts.trainer.require_finite()
                 parts.checkpointer.write_in_background(self._snapshot())
             parts.store.require_progress(self._run_file.learner.deadlock_seconds)
             self._connections.reporter.report_if_due()
+        parts.trainer.require_finite()  # the last policy and the last checkpoint follow
+
+    def _give_up(self, what: str) -> Diverged:
+        """Training has diverged: keep what was acknowledged and the checkpoints, and tell of it."""
+        parts = self._parts
+        self._connections.intake.stop_accepting(finished=False)
+        self._connections.reporter.announce_end(Phase.DRAINING)
+        parts.checkpointer.wait()  # the one that is being written is from before
+        return diverged(parts.folder, what, parts.trainer.updates, parts.trainer.batch)
 
     def _finish(self) -> None:
         """All experience is in and trained on: the last policy, the news, the last checkpoint."""

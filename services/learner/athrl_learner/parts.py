@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from athrl_planners import AtHRL, PolicyExporter
+from athrl_planners import Agent, PolicyExporter
 from athrl_protocol import PolicyUpdate, RunFile
 from athrl_protocol.ledger import Ledger
 
@@ -20,12 +20,11 @@ from athrl_learner.memory import require_memory
 from athrl_learner.publication import Publication
 from athrl_learner.recovery import AfterTheCheckpoint
 from athrl_learner.run_folder import RunFolder
+from athrl_learner.same_policy import changed_settings, require_same_policy
 from athrl_learner.segments import SegmentLog
 from athrl_learner.snapshot import restore_snapshot
 from athrl_learner.store import ExperienceStore
 from athrl_learner.training import Trainer
-
-SECTIONS_THAT_SHAPE = ("environment", "planner", "replay", "actor")
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +34,7 @@ class Parts:
     """Everything that a learner works with, wherever its experience comes from.
 
     Attributes:
-        agent: both planners.
+        agent: the planner.
         trainer: updates them.
         arrivals: which actor sent how much.
         store: replay, log and limiter.
@@ -45,9 +44,10 @@ class Parts:
         checkpointer: writes checkpoints.
         recovered: chunks that were taken in from the log, beyond the checkpoint.
         damaged: records of the log that could not be read, in the run so far.
+        folder: the run's.
     """
 
-    agent: AtHRL
+    agent: Agent
     trainer: Trainer
     arrivals: Arrivals
     store: ExperienceStore
@@ -57,10 +57,11 @@ class Parts:
     checkpointer: Checkpointer
     recovered: int
     damaged: int
+    folder: RunFolder
 
 
 def make_experience(
-    run_file: RunFile, agent: AtHRL, arrivals: Arrivals, experience: SegmentLog
+    run_file: RunFile, agent: Agent, arrivals: Arrivals, experience: SegmentLog
 ) -> ExperienceStore:
     """Replay, limiter and the check of chunks; says how much memory the replay will take.
 
@@ -73,10 +74,11 @@ def make_experience(
     return ExperienceStore(
         translation.make_reader(run_file, agent),
         replay,
-        translation.make_limiter(run_file),
+        translation.make_limiter(run_file, agent),
         arrivals,
         run_file.run.environment_steps,
         experience,
+        translation.largest_sample(run_file, agent),
     )
 
 
@@ -104,13 +106,17 @@ def make_parts(
     """
     arrivals = Arrivals()
     agent = translation.make_agent(run_file)
+    require_same_policy(folder, content, agent.description, run_file)
     experience = translation.make_log(run_file, folder.experience)
     stack.callback(experience.close)
     store = make_experience(run_file, agent, arrivals, experience)
     try:
         restored = restore_snapshot(content, agent, store, after_the_checkpoint)
     except SettingsDoNotFit as error:
-        raise SettingsDoNotFit(f"{error}{_set_otherwise(content, run_file)}") from None
+        changed = changed_settings(folder, content, run_file)
+        if changed:
+            raise SettingsDoNotFit(error.what, changed) from None
+        raise
     publication = Publication(
         hand_out,
         PolicyExporter(agent),
@@ -130,7 +136,7 @@ def make_parts(
     )
     return Parts(
         agent,
-        Trainer(agent),
+        Trainer(agent, store.replay),
         arrivals,
         store,
         restored.ledger,
@@ -139,17 +145,5 @@ def make_parts(
         checkpointer,
         restored.recovered,
         restored.damaged,
+        folder,
     )
-
-
-def _set_otherwise(content: CheckpointContent | None, run_file: RunFile) -> str:
-    """Which settings that shape planner and experience are not the checkpoint's, for the end of a message."""
-    before = content.state["run_file"] if content is not None else {}
-    now = run_file.model_dump()
-    others = [
-        f"{section}.{key} was {was!r} and is {now[section][key]!r}"
-        for section in SECTIONS_THAT_SHAPE
-        for key, was in before.get(section, {}).items()
-        if key in now[section] and now[section][key] != was
-    ]
-    return f"; {', '.join(others)}" if others else ""

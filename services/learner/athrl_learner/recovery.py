@@ -57,7 +57,12 @@ class Recovery:
         self._expected = first  # number of the next record, were none damaged
         self._facts: list[SegmentFacts] = []
 
-    def run(self, replay_state: dict[str, Any] | None, after: AfterTheCheckpoint = "taken in") -> None:
+    def run(
+        self,
+        replay_state: dict[str, Any] | None,
+        after: AfterTheCheckpoint = "taken in",
+        priorities: dict[str, Any] | None = None,
+    ) -> None:
         """Fill the replay as it was at the checkpoint (if there is one), take in what followed, go on.
 
         With "driven again" the log goes on right behind the checkpoint. What it has beyond that is still
@@ -70,7 +75,9 @@ class Recovery:
             OSError: a segment cannot be read.
         """
         if replay_state is not None:
-            self._store.replay.load_state(replay_state, self._replayed())
+            found = self._store.replay.load_state(replay_state, self._replayed())
+            if priorities and found == int(replay_state["sequences"]):
+                self._store.replay.load_priorities(priorities)
         if after == "driven again":
             self._go_on_behind_the_checkpoint()
             return
@@ -132,9 +139,7 @@ class Recovery:
         try:
             return self._store.reader.sequences(chunk)
         except InvalidMessage as error:
-            raise SettingsDoNotFit(
-                f"the log does not fit the run's settings; was one overridden? {error}"
-            ) from None
+            raise SettingsDoNotFit("the log", f"was one overridden? {error}") from None
 
     def _records(self, segments: Iterable[int], named: dict[int, SegmentFacts]) -> Iterator[Record]:
         """All intact records of those segments, in order; what is missing is told and counted."""

@@ -26,11 +26,12 @@ from athrl_protocol.certificates import find_certificates
 from athrl_protocol.limits import largest_chunk_of
 
 from athrl_learner.connections import NAME, connect
-from athrl_learner.device import log_device, training_device
+from athrl_learner.device import log_device, training_device, training_threads
 from athrl_learner.errors import CannotResume
 from athrl_learner.going_on import checkpoint_to_go_on_from
 from athrl_learner.learner import Learner
 from athrl_learner.parts import make_parts
+from athrl_learner.planner_tables import held_to_planners, know_planners
 from athrl_learner.publication import recorded_version
 from athrl_learner.run_folder import RunFolder
 from athrl_learner.snapshot import saved_version
@@ -77,8 +78,9 @@ def run_learner(
 
     Raises:
         LearnerError: the folder is taken, in use, cannot be resumed, or does not take the last checkpoint; or
-            this machine has no device of the kind that the run file asks for, or less memory than the replay
-            would take, and nothing has been written.
+            there is no planner as the run file describes it; or this machine has no device of the kind that
+            it asks for, or less memory than the replay would take, and nothing has been written; or training
+            has diverged, which is a checkpoint later than the newest.
         ProtocolError: the address is in use, `run.toml` is wrong, no client would accept the certificate, or
             the run had certificates and is to go on without.
     """
@@ -93,7 +95,7 @@ def run_learner(
         complete_address(read_run_file(resume / "run.toml", complete=True).network.listen)
     address = complete_address(run_file.network.listen, secure=shown is not None)
     training_device(run_file)  # refused here: nothing has been written
-    torch.set_num_threads(run_file.learner.threads)
+    torch.set_num_threads(training_threads(run_file))
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path))
         content = checkpoint_to_go_on_from(folder, resuming=resume is not None)
@@ -156,10 +158,13 @@ def _with_address(run_file: RunFile, address: str) -> RunFile:
 
 def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path]:
     """The run file to follow and the run's folder."""
+    know_planners()
     if resume is not None:
         if not (resume / "run.toml").is_file():
             raise CannotResume(f"{resume} holds no run to go on with: there is no run.toml in it")
-        return run_file or read_run_file(resume / "run.toml", complete=True), resume
+        if run_file is None:
+            return read_run_file(resume / "run.toml", complete=True), resume
+        return held_to_planners(run_file), resume
     if run_file is None:
         raise ValueError("run_learner needs a run file, or a run to resume")
-    return run_file, Path(run_file.run.folder) / run_file.run.name
+    return held_to_planners(run_file), Path(run_file.run.folder) / run_file.run.name

@@ -7,8 +7,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
 import torch
-from athrl_planners import AtHRL
+from athrl_planners import Agent
 from athrl_protocol import RunFile
 from athrl_protocol.ledger import Ledger
 
@@ -33,7 +34,7 @@ class Intake(Protocol):
 
 def take_snapshot(
     run_file: RunFile,
-    agent: AtHRL,
+    agent: Agent,
     store: ExperienceStore,
     intake: Intake,
     policy_version: int,
@@ -59,9 +60,12 @@ def take_snapshot(
             "totals": intake.totals(),
             "damaged": damaged,
             "replay": store.replay.state(),
+            "policy": agent.description.to_json(),
         }
+        priorities = store.replay.priorities()
         position = store.log_position()
-    return CheckpointContent(state=state, agent=_copied(agent.state_dict()), log=position, actor=actor)
+    learnt = {"planner": _copied(agent.state_dict()), "priorities": _to_tensors(priorities)}
+    return CheckpointContent(state=state, agent=learnt, log=position, actor=actor)
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ class Restored:
 
 def restore_snapshot(
     content: CheckpointContent | None,
-    agent: AtHRL,
+    agent: Agent,
     store: ExperienceStore,
     after_the_checkpoint: AfterTheCheckpoint = "taken in",
 ) -> Restored:
@@ -96,17 +100,19 @@ def restore_snapshot(
     try:
         ledger = Ledger(state.get("ledger"), state.get("totals"))
         if content is not None:
-            agent.load_state_dict(content.agent)
+            agent.load_state_dict(content.agent["planner"])
             store.limiter.load_state(state["limiter"])
             store.restore(int(state["environment_steps"]))
         recovery = Recovery(store, ledger, content.log if content is not None else None)
-        recovery.run(state["replay"] if content is not None else None, after_the_checkpoint)
+        recovery.run(
+            state["replay"] if content is not None else None,
+            after_the_checkpoint,
+            _to_arrays(content.agent["priorities"]) if content is not None else None,
+        )
         store.limiter.go_on()
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 200)  # torch names every tensor
-        raise SettingsDoNotFit(
-            f"the checkpoint does not fit the run's settings; was one overridden? {reason}"
-        ) from None
+        raise SettingsDoNotFit("the checkpoint", f"was one overridden? {reason}") from None
     except OSError as error:
         raise CannotResume(f"cannot read the log {store.log.folder}: {error.strerror}") from None
     if store.limiter.warmed_up and not len(store.replay):
@@ -124,6 +130,19 @@ def _copied(state: Any) -> Any:
     if isinstance(state, list | tuple):
         return type(state)(_copied(value) for value in state)
     return state
+
+
+def _to_tensors(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+        for name, value in values.items()
+    }
+
+
+def _to_arrays(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: value.numpy() if isinstance(value, torch.Tensor) else value for name, value in values.items()
+    }
 
 
 def saved_version(content: CheckpointContent | None) -> int:

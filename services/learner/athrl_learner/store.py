@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import takewhile
 
-from athrl_planners import Sequence, SequenceBatch, SequenceReplay
+from athrl_planners import Batch, Sequence, SequenceReplay
 from athrl_protocol import Chunk, IntakeBusy, IntakeFinished
 
 from athrl_learner.arrivals import Arrivals
@@ -36,8 +36,11 @@ class ExperienceStore:
         arrivals: Arrivals,
         environment_steps_target: int,
         log: SegmentLog,
+        largest_sample: int,
     ) -> None:
+        """`largest_sample` decisions are in an update at most."""
         self.reader = reader
+        self._largest_sample = largest_sample
         self.replay = replay
         self.limiter = limiter
         self.log = log
@@ -55,9 +58,20 @@ class ExperienceStore:
         """Whether all environment steps of the run are in."""
         return self.environment_steps >= self.environment_steps_target
 
-    def exhausted(self, sequences: int) -> bool:
-        """Whether all experience is in and no more batches of `sequences` are owed."""
-        return self.complete and not self.limiter.permits_sample(sequences * self.replay.sequence_length)
+    @property
+    def progress(self) -> float:
+        """Share of the run's environment steps that are in, 0 to 1."""
+        return min(1.0, self.environment_steps / self.environment_steps_target)
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether all experience is in and no more batches are owed."""
+        return self.complete and not self.limiter.permits_sample(self._largest_sample)
+
+    @property
+    def owes_a_batch(self) -> bool:
+        """Whether the experience so far asks for another batch."""
+        return self.limiter.owes(self._largest_sample)
 
     def accept(self, chunk: Chunk, message: bytes) -> None:
         """Check a chunk, write it down and put it into the replay. Called by the intake, on its thread.
@@ -96,12 +110,12 @@ class ExperienceStore:
         """Bring the log to the disk before a batch of answers, if that is wanted; raises LogFailed."""
         self.log.commit()
 
-    def sample(self, sequences: int, timeout: float) -> SequenceBatch | None:
+    def sample(self, timeout: float) -> Batch | None:
         """A batch as soon as the limiter permits it, or None after `timeout` seconds without permission.
 
         With all experience in, None comes at once when nothing more is owed.
         """
-        largest = sequences * self.replay.sequence_length
+        largest = self._largest_sample
         with self._changed:
             if not self.limiter.permits_sample(largest):
                 self.learner_waiting.begin()
@@ -111,7 +125,7 @@ class ExperienceStore:
                 if not self.limiter.permits_sample(largest):
                     return None
             self.learner_waiting.end()
-            batch = self.replay.sample(sequences)
+            batch = self.replay.sample(largest)
             self.limiter.sampled(batch.transitions)
             if self.limiter.permits_insert(self.limiter.largest_insert) and not self.room.explain():
                 self.actors_waiting.end()

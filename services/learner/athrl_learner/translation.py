@@ -6,11 +6,14 @@ import math
 from pathlib import Path
 
 import numpy as np
-from athrl_planners import ActionRange, AtHRL, ObservationSettings, PlannerSettings, SequenceReplay
+from athrl_planners import Agent, SequenceReplay
+from athrl_planners import make_agent as make_planner_agent
+from athrl_planners.making import make_replay as make_planner_replay
 from athrl_protocol import RunFile
+from athrl_spaces import Limits, Observation
 
-from athrl_learner.device import training_device
-from athrl_learner.experience import ChunkReader, ExpectedLevel
+from athrl_learner.device import training_device, update_precision
+from athrl_learner.experience import ChunkReader
 from athrl_learner.limiter import SamplesPerInsert
 from athrl_learner.segments import SegmentLog
 
@@ -19,94 +22,66 @@ _LEARNER = 1
 _AGENT, _REPLAY = 0, 1
 
 
-def observation_settings(run_file: RunFile) -> ObservationSettings:
+def observation(run_file: RunFile) -> Observation:
     """What the planner sees."""
-    return ObservationSettings(image_size=run_file.environment.image_size)
+    return Observation(run_file.environment.image_size)
 
 
-def planner_settings(run_file: RunFile) -> PlannerSettings:
-    """How the planner learns: the run file's section, field by field."""
-    values = run_file.planner.model_dump(exclude={"kind"})
-    return PlannerSettings(**values, burn_in=run_file.replay.burn_in)
+def limits(run_file: RunFile) -> Limits:
+    """What environments make of a decision."""
+    environment = run_file.environment
+    return Limits(
+        maximum_speed=environment.maximum_speed,
+        waypoint_radius=environment.waypoint_radius,
+        waypoint_half_angle=math.radians(environment.waypoint_half_angle),
+    )
 
 
-def action_ranges(run_file: RunFile) -> dict[str, tuple[ActionRange, ...]]:
-    """What each level decides, in physical units, and how actors explore it."""
-    environment, exploration = run_file.environment, run_file.exploration
-    half_angle = math.radians(environment.waypoint_half_angle)
-    return {
-        "intention": (
-            ActionRange(
-                name="intention",
-                unit="",
-                low=0.0,
-                high=2.0,
-                noise="ornstein-uhlenbeck",
-                noise_scale=exploration.intention_noise,
-                damping=exploration.damping,
-            ),
-        ),
-        "trajectory": (
-            ActionRange(
-                name="target_speed",
-                unit="m/s",
-                low=0.0,
-                high=environment.maximum_speed,
-                noise="ornstein-uhlenbeck",
-                noise_scale=exploration.speed_noise,
-                damping=exploration.damping,
-            ),
-            ActionRange(
-                name="waypoint_angle",
-                unit="rad",
-                low=-half_angle,
-                high=half_angle,
-                noise="gaussian",
-                noise_scale=exploration.waypoint_noise,
-            ),
-        ),
-    }
-
-
-def make_agent(run_file: RunFile) -> AtHRL:
-    """A fresh planner as the run file describes it."""
-    return AtHRL(
-        planner_settings(run_file),
-        observation_settings(run_file),
-        action_ranges(run_file),
+def make_agent(run_file: RunFile) -> Agent:
+    """A fresh planner as the run file describes it; the log says in what precision it computes, and why."""
+    return make_planner_agent(
+        run_file.planner.kind,
+        run_file.planner.values(),
+        observation=observation(run_file),
+        limits=limits(run_file),
         seed=_seed(run_file, _AGENT),
         device=training_device(run_file),
+        burn_in=run_file.replay.burn_in,
+        precision=update_precision(run_file),
     )
 
 
-def make_replay(run_file: RunFile, agent: AtHRL) -> SequenceReplay:
+def make_replay(run_file: RunFile, agent: Agent) -> SequenceReplay:
     """An empty replay for that planner."""
-    return SequenceReplay(
-        capacity_transitions=run_file.replay.capacity,
-        sequence_length=run_file.replay.sequence_length,
-        observation=agent.observation,
-        levels=agent.level_sizes,
-        seed=_seed(run_file, _REPLAY),
+    replay = run_file.replay
+    return make_planner_replay(
+        agent,
+        replay.capacity,
+        replay.sequence_length,
+        _seed(run_file, _REPLAY),
+        (replay.priority_exponent, replay.importance_exponent) if replay.prioritised else None,
     )
 
 
-def make_reader(run_file: RunFile, agent: AtHRL) -> ChunkReader:
+def make_reader(run_file: RunFile, agent: Agent) -> ChunkReader:
     """The check that a chunk fits that planner."""
-    levels = {
-        name: ExpectedLevel(actions=agent.actions[name], state_size=state_size)
-        for name, (_, state_size) in agent.level_sizes.items()
-    }
-    return ChunkReader(agent.observation, run_file.replay.sequence_length, run_file.longest_chunk, levels)
+    return ChunkReader(agent.description, run_file.replay.sequence_length, run_file.longest_chunk)
 
 
-def make_limiter(run_file: RunFile) -> SamplesPerInsert:
+def largest_sample(run_file: RunFile, agent: Agent) -> int:
+    """Decisions in an update at most: single ones, or whole sequences for a planner with a memory."""
+    batch, length = run_file.learner.batch, run_file.replay.sequence_length
+    return max(1, round(batch / length)) * length if agent.has_memory else batch
+
+
+def make_limiter(run_file: RunFile, agent: Agent) -> SamplesPerInsert:
     """The limiter; the warm-up is as long as the random decisions."""
     return SamplesPerInsert(
         ratio=run_file.learner.samples_per_insert,
         tolerance=run_file.learner.samples_per_insert_tolerance,
-        minimum_inserts=max(1, run_file.exploration.random_decisions),
+        minimum_inserts=max(1, run_file.warm_up),
         largest_insert=run_file.longest_chunk,
-        largest_sample=run_file.learner.batch * run_file.replay.sequence_length,
+        largest_sample=largest_sample(run_file, agent),
     )
 
 

@@ -15,6 +15,7 @@ import pytest
 from athrl_learner import translation
 from athrl_learner.segments import SegmentLog
 from athrl_learner.store import ExperienceStore
+from athrl_planners import settings_tables
 from athrl_protocol import (
     Chunk,
     ChunkUploader,
@@ -35,6 +36,9 @@ from athrl_protocol import (
     open_session,
     read_run_file,
 )
+from athrl_protocol.run_file import declare_planners
+
+declare_planners(settings_tables())
 
 TIME = 5
 STATE = 16  # h and c of 8 recurrent features
@@ -43,12 +47,18 @@ SETTINGS = (
     "run.name=small",
     "run.environment_steps=400",
     "planner.hidden_features=16",
+    "planner.head_features=16",
+    "planner.atoms=11",
+    "planner.memory=lstm",
     "planner.recurrent_features=8",
+    "planner.shared_trunk=false",
     "exploration.random_decisions=60",
     "replay.capacity=1000",
     f"replay.sequence_length={TIME}",
     "replay.burn_in=1",
-    "learner.batch=4",
+    f"learner.batch={4 * TIME}",
+    "learner.threads=1",
+    "learner.precision=float32",
     "learner.samples_per_insert=4",
     "learner.publish_seconds=0.1",
     "learner.checkpoint_seconds=0.5",

@@ -36,11 +36,11 @@ def test_chunk_that_is_not_taken_in_may_be_brought_again(store, make_chunk):
 
 
 def test_owed_samples_are_always_permitted_and_leave_room_for_the_next_chunk(run_file, store, make_chunk):
-    intake, largest = DirectIntake(store, Ledger()), run_file.learner.batch * 5
+    intake, largest = DirectIntake(store, Ledger()), run_file.learner.batch
     for _ in range(40):
         intake.take_in(make_chunk())
         while store.limiter.owes(largest):
-            assert store.sample(run_file.learner.batch, timeout=0) is not None
+            assert store.sample(timeout=0) is not None
         assert store.limiter.permits_insert(5)
         assert store.limiter.surplus < largest
     assert store.limiter.realised_ratio == pytest.approx(run_file.learner.samples_per_insert, rel=0.05)
@@ -54,7 +54,7 @@ def test_what_followed_the_checkpoint_is_driven_again(run_file, store, make_chun
     for _ in range(30):  # several segments
         intake.take_in(make_chunk())
         while store.limiter.owes(20):
-            store.sample(4, timeout=0)
+            store.sample(timeout=0)
     later = len(numbered_segments(experience.folder)) - 1
     assert later > 1
     again = make_experience(

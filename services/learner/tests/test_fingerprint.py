@@ -51,7 +51,7 @@ def test_update_changes_parameters_and_optimisers_and_a_sample_the_replay(run_fi
 
     before = all_three()
     assert all_three() == before
-    batch = replay.sample(2)
+    batch = replay.sample(10)
     drawn = all_three()
     assert drawn[:2] == before[:2]
     assert drawn[2] != before[2]

@@ -49,7 +49,7 @@ def test_ratio_stays_within_its_tolerance(long_run, make_chunk, make_actor, acto
             stack.enter_context(actor)
         summary = learner.result(timeout=200)
     assert summary.finished
-    limiter = translation.make_limiter(long_run)
+    limiter = translation.make_limiter(long_run, translation.make_agent(long_run))
     slack = BETWEEN * (limiter.largest_sample + limiter.ratio * limiter.largest_insert)
     heard = max((actor.metrics for actor in crew), key=len)
     reports = [report.values for report in heard if report.role == "learner"]

@@ -9,7 +9,6 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from athrl_learner import CannotResume, translation
 from athrl_learner.arrivals import Arrivals
@@ -84,16 +83,7 @@ class SmallLearner:
         replay = self.store.replay
         if not len(replay):
             return []
-        state = replay.state()
-        drawn: dict[int, int] = {}
-        random = np.random.Generator(np.random.PCG64())
-        random.bit_generator.state = replay._random.bit_generator.state
-        for _ in range(20):
-            slots = random.integers(replay.sequences, size=8)
-            rewards = replay.sample(8).rewards["intention"][:, 0]
-            drawn |= {int(slot): int(mark) for slot, mark in zip(slots, rewards, strict=True)}
-        replay._restore_random(state["random"])
-        return [drawn[slot] for slot in sorted(drawn)]
+        return replay.columns()["intention.rewards"][:, 0].astype(int).tolist()
 
 
 def marked(make_chunk, sequence: int, actor: str = "actor-1", **fields: object) -> Chunk:
@@ -167,11 +157,16 @@ def run_file_for(tmp_path_factory) -> RunFile:
         None,
         [
             "planner.hidden_features=8",
+            "planner.head_features=8",
+            "planner.atoms=11",
+            "planner.memory=lstm",
             "planner.recurrent_features=8",
+            "planner.shared_trunk=false",
             "exploration.random_decisions=60",
             f"replay.sequence_length={TIME}",
             "replay.burn_in=1",
-            "learner.batch=4",
+            "learner.batch=20",
+            "learner.precision=float32",
             "durability.segment_mebibytes=0.01",
             f"run.folder={tmp_path_factory.mktemp('runs')}",
         ],
@@ -270,7 +265,7 @@ def test_actors_need_not_wait_until_what_came_after_the_checkpoint_is_trained_on
     back = SmallLearner(run_file, tmp_path, content, samples_per_insert=32.0)
     assert back.store.limiter.surplus > 5 * back.store.limiter.error_bound
     for _ in range(16):  # updates; they are owed three hundred
-        assert back.store.sample(4, timeout=0) is not None
+        assert back.store.sample(timeout=0) is not None
     back.take_in(marked(make_chunk, 60))
 
 

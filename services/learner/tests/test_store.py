@@ -16,15 +16,7 @@ from athrl_protocol import Chunk, IntakeBusy, IntakeFinished, InvalidMessage
 
 @pytest.fixture
 def store(run_file, experience) -> ExperienceStore:
-    agent = translation.make_agent(run_file)
-    return ExperienceStore(
-        translation.make_reader(run_file, agent),
-        translation.make_replay(run_file, agent),
-        translation.make_limiter(run_file),
-        Arrivals(),
-        run_file.run.environment_steps,
-        experience,
-    )
+    return make_experience(run_file, translation.make_agent(run_file), Arrivals(), experience)
 
 
 def fill(store: ExperienceStore, make_chunk, accept) -> None:
@@ -55,7 +47,7 @@ def test_actors_wait_while_training_lags(store, make_chunk, accept):
         accept(store, make_chunk())
     assert store.environment_steps == before
     assert store.actors_waiting.share() > 0
-    while store.sample(4, timeout=0) is not None:
+    while store.sample(timeout=0) is not None:
         pass
     accept(store, make_chunk())
     assert store.environment_steps == before + 5
@@ -68,7 +60,7 @@ def test_a_long_chunk_gets_its_turn_though_short_ones_take_what_room_there_is(st
     fill(store, short, accept)
     long = make_chunk(sequences=store.limiter.largest_insert // 5)
     for _ in range(5):
-        assert store.sample(4, timeout=0) is not None
+        assert store.sample(timeout=0) is not None
         with contextlib.suppress(IntakeBusy):
             accept(store, long)
             return
@@ -77,14 +69,14 @@ def test_a_long_chunk_gets_its_turn_though_short_ones_take_what_room_there_is(st
 
 
 def test_training_waits_while_experience_lags(store, make_chunk, accept):
-    assert store.sample(4, timeout=0) is None
+    assert store.sample(timeout=0) is None
     fill(store, make_chunk, accept)
-    while store.sample(4, timeout=0) is not None:
+    while store.sample(timeout=0) is not None:
         pass
     assert store.learner_waiting.share() > 0
     # Whoever waits is woken by the experience it waits for, long before its time is up.
     sampled = []
-    waiting = threading.Thread(target=lambda: sampled.append(store.sample(4, timeout=60)))
+    waiting = threading.Thread(target=lambda: sampled.append(store.sample(timeout=60)))
     waiting.start()
     fill(store, make_chunk, accept)
     waiting.join(timeout=30)
@@ -95,12 +87,12 @@ def test_a_full_run_takes_nothing_more_and_trains_what_it_owes(store, make_chunk
     while not store.complete:
         fill(store, make_chunk, accept)
         if not store.complete:
-            assert store.sample(4, timeout=0) is not None
+            assert store.sample(timeout=0) is not None
     with pytest.raises(IntakeFinished):
         accept(store, make_chunk())
-    while not store.exhausted(4):
-        assert store.sample(4, timeout=0) is not None
-    assert store.sample(4, timeout=60) is None
+    while not store.exhausted:
+        assert store.sample(timeout=0) is not None
+    assert store.sample(timeout=60) is None
     assert 0 <= store.limiter.surplus < 20
 
 
@@ -163,7 +155,7 @@ def test_a_deadlock_is_an_error_and_no_way_of_life(store, make_chunk, accept):
     store.limiter.error_bound = -1e9  # no limiter of ours is like that
     with pytest.raises(IntakeBusy):
         accept(store, make_chunk())
-    assert store.sample(4, timeout=0) is None
+    assert store.sample(timeout=0) is None
     now = 59.0
     store.require_progress(60.0)
     now = 61.0
@@ -177,7 +169,7 @@ def test_one_side_that_waits_for_long_is_no_deadlock(store, make_chunk, accept):
     fill(store, make_chunk, accept)
     now = 1000.0
     store.require_progress(60.0)
-    while store.sample(4, timeout=0) is not None:
+    while store.sample(timeout=0) is not None:
         pass
     now = 2000.0
     store.require_progress(60.0)
@@ -202,8 +194,8 @@ def test_the_ratio_is_held_for_any_number_of_actors(run_file, make_chunk, accept
     threads = [threading.Thread(target=drive, args=(chunk,)) for chunk in chunks]
     for thread in threads:
         thread.start()
-    while not store.exhausted(4):
-        store.sample(4, timeout=0.1)
+    while not store.exhausted:
+        store.sample(timeout=0.1)
         surplus = store.limiter.surplus
         assert not store.limiter.warmed_up or abs(surplus) <= store.limiter.error_bound
     for thread in threads:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 import rerun.blueprint as rrb
 
 from athrl_evaluator.drawing import colours
 
 TIMELINE = "simulated time"
+INTENTION = "intention"
+"""The decision that is put into words: left, straight or right."""
 
 CAR_BOUNDS = rrb.VisualBounds2D(x_range=[-32, 32], y_range=[-42, 22])  # m; more is seen ahead than behind
 RECENT = rrb.VisibleTimeRange(
@@ -16,8 +20,18 @@ RECENT = rrb.VisibleTimeRange(
 )
 
 
-def default_blueprint() -> rrb.Blueprint:
-    """Surroundings to the left, what the planner sees and the town in the middle, curves to the right."""
+def curves_of_decision(decision: Iterable[str]) -> list[str]:
+    """Which of the values that were decided get a view: the intention, and without one all of them."""
+    names = sorted(decision)
+    return [INTENTION] if INTENTION in names else names
+
+
+def make_blueprint(decided: Sequence[str] = ()) -> rrb.Blueprint:
+    """Surroundings to the left, what the planner sees and the town in the middle, curves to the right.
+
+    Args:
+        decided: names of what is decided that get a view each.
+    """
     background = rrb.Background(color=colours.BACKGROUND)
     surroundings = rrb.Spatial2DView(
         origin="/car", name="Around the car", visual_bounds=CAR_BOUNDS, background=background
@@ -32,10 +46,10 @@ def default_blueprint() -> rrb.Blueprint:
     )
     curves = rrb.Vertical(
         _curves("/speed", "Speed, m/s", rrb.ScalarAxis(range=(0.0, 9.0)), legend=True),
-        _curves("/intention", "Intention: 0 left, 1 straight, 2 right", rrb.ScalarAxis(range=(-0.1, 2.1))),
+        *(_decision(name) for name in decided),
         _curves("/reward", "Reward, by term", legend=True),
         _curves("/return", "Return"),
-        row_shares=[3, 2, 5, 2],
+        row_shares=[3, *[2] * len(decided), 5, 2],
     )
     return rrb.Blueprint(
         rrb.Horizontal(surroundings, middle, curves, column_shares=[5, 3, 4]),
@@ -45,6 +59,13 @@ def default_blueprint() -> rrb.Blueprint:
         auto_views=False,
         auto_layout=False,
     )
+
+
+def _decision(name: str) -> rrb.TimeSeriesView:
+    if name == INTENTION:
+        axis = rrb.ScalarAxis(range=(-0.1, 2.1))
+        return _curves(f"/decision/{name}", "Intention: 0 left, 1 straight, 2 right", axis)
+    return _curves(f"/decision/{name}", name.replace("_", " ").capitalize())
 
 
 def _curves(

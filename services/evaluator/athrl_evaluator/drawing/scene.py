@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
@@ -10,7 +11,7 @@ from athrl_driving import lane_polylines
 from athrl_protocol import Frame
 
 from athrl_evaluator.drawing import colours
-from athrl_evaluator.drawing.blueprint import TIMELINE
+from athrl_evaluator.drawing.blueprint import INTENTION, TIMELINE, curves_of_decision, make_blueprint
 from athrl_evaluator.drawing.shapes import (
     CarPicture,
     bodies_of,
@@ -36,10 +37,12 @@ class SceneDrawing:
         self._offset = 0.0
         self._last_time = -math.inf
         self._episode: tuple[str, int, int] | None = None
+        self._laid_out: list[str] = []
 
     def draw(self, frame: Frame) -> None:
         """Log everything about one frame."""
         self._begin_episode_if_new(frame)
+        self._lay_out_what_is_decided(frame)
         self._stream.set_time(TIMELINE, duration=self._offset + frame.time)
         self._last_time = frame.time
         if frame.town != self._town:
@@ -56,6 +59,13 @@ class SceneDrawing:
         if self._episode is not None and (episode != self._episode or frame.time <= self._last_time):
             self._offset += max(0.0, self._last_time) + PAUSE - frame.time
         self._episode = episode
+
+    def _lay_out_what_is_decided(self, frame: Frame) -> None:
+        """Have a view for each curve of the decision; a layout that has them stays as the viewer has it."""
+        curves = curves_of_decision(frame.decision)
+        if not set(curves) <= set(self._laid_out):
+            self._laid_out = list(dict.fromkeys([*self._laid_out, *curves]))
+            self._stream.send_blueprint(make_blueprint(self._laid_out))
 
     def _draw_town(self, town: str) -> None:
         self._town = town
@@ -132,12 +142,13 @@ class SceneDrawing:
     def _draw_curves(self, frame: Frame) -> None:
         curves: dict[str, tuple[float, tuple[int, int, int]]] = {
             "speed/actual": (frame.ego.speed, colours.SPEED),
-            "speed/target": (frame.target_speed, colours.TARGET_SPEED),
             "return/return": (frame.episode_return, colours.RETURN),
             "reward/total": (frame.reward, colours.CURVE),
         }
-        if not math.isnan(frame.intention):
-            curves["intention/intention"] = (frame.intention, colours.INTENTION)
+        if not math.isnan(frame.target_speed):  # a planner may decide none
+            curves["speed/target"] = (frame.target_speed, colours.TARGET_SPEED)
+        for name, value in frame.decision.items():
+            curves[f"decision/{name}"] = (value, colours.DECISION)
         for term, value in frame.reward_terms.items():
             curves[f"reward/{term}"] = (value, colours.REWARD_TERMS.get(term, colours.CURVE))
         for entity, (value, colour) in curves.items():
@@ -158,12 +169,14 @@ def _caption(frame: Frame) -> str:
     return (
         f"**{driver}** in {frame.town}, seed {frame.episode_seed}\n\n"
         f"decision {frame.step}, {frame.time:.1f} s, return {frame.episode_return:.0f}, "
-        f"{frame.ego.speed:.1f} m/s, {_intention_in_words(frame.intention)}"
+        f"{frame.ego.speed:.1f} m/s{_in_words(frame.decision)}"
     )
 
 
-def _intention_in_words(intention: float) -> str:
-    if math.isnan(intention):
-        return "no intention"
-    words = "left" if intention < 2 / 3 else "straight" if intention < 4 / 3 else "right"
-    return f"intends {words} ({intention:.2f})"
+def _in_words(decision: Mapping[str, float]) -> str:
+    """What the planner decided, for the end of the caption; nothing where there is no planner."""
+    intention = decision.get(INTENTION)
+    if intention is not None:
+        words = "left" if intention < 2 / 3 else "straight" if intention < 4 / 3 else "right"
+        return f", intends {words} ({intention:.2f})"
+    return "".join(f", {name.replace('_', ' ')} {value:.2f}" for name, value in sorted(decision.items()))

@@ -12,7 +12,7 @@ from typing import Any
 from athrl_learner.segments import LogPosition
 
 #: Raised when a checkpoint is laid out differently from before.
-FORMAT = 3
+FORMAT = 4
 MANIFEST = "manifest.json"
 STATE = "state.json"
 AGENT = "agent.pt"
@@ -28,7 +28,8 @@ class CheckpointContent:
 
     Attributes:
         state: JSON-able: run file, counters, limiter, ledger, the replay's order, random states.
-        agent: nested dictionaries and lists of tensors and plain values.
+        agent: the planner and the replay's priorities: nested dictionaries and lists of tensors and plain
+            values.
         log: where the log was, and which of its segments the replay is made of.
         actor: of a serial run, its actor's whole state, likewise nested; None of a distributed run, whose
             actors are processes of their own.

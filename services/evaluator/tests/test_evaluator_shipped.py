@@ -1,0 +1,71 @@
+"""Policies that come with the package are found by name, with a card that says what they are."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from athrl_driving.policy import InvalidPolicy
+from athrl_evaluator import evaluate_driver, shipped_policies
+from athrl_evaluator.errors import EvaluatorError
+from athrl_evaluator.policy_files import load_policy
+from athrl_protocol.run_file import EnvironmentSection
+
+CARD: dict[str, Any] = {
+    "purpose": "Drives.",
+    "trained": "athrl train, 5 minutes on 2 cores",
+    "commit": "0123456",
+    "decisions": 400_000,
+    "town": "town03",
+    "scores": {"policy": {"return_mean": 3200.0, "return_ci95": 80.0}},
+    "limits": ["100 vehicles"],
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, artefact: bytes) -> Path:
+    monkeypatch.setattr(shipped_policies, "FOLDER", tmp_path)
+    shipped_policies.ship(artefact, "town03", tmp_path, **CARD)
+    return tmp_path
+
+
+def test_policy_is_found_by_its_name_and_drives(folder: Path) -> None:
+    file = shipped_policies.shipped_policy("town03")
+    environment = EnvironmentSection(vehicles=3, episode_ticks=20)
+    assert evaluate_driver(file, environment=environment, episodes=2, seed=1).episodes == 2
+
+
+def test_card_says_what_the_policy_is(folder: Path) -> None:
+    (card,) = shipped_policies.shipped_policies().values()
+    assert (card.planner, card.decisions, card.scores) == ("athrl", 400_000, CARD["scores"])
+
+
+def test_name_that_does_not_exist_is_told_with_the_nearest(folder: Path) -> None:
+    with pytest.raises(shipped_policies.UnknownPolicy, match=r"no policy 'town3', .* did you mean town03"):
+        shipped_policies.shipped_policy("town3")
+
+
+@pytest.mark.parametrize("name", ["../town03", "town03.onnx", ""])
+def test_name_cannot_lead_out_of_the_folder(folder: Path, name: str) -> None:
+    with pytest.raises(shipped_policies.UnknownPolicy):
+        shipped_policies.shipped_policy(name)
+
+
+def test_policy_that_is_not_the_cards_is_refused(folder: Path) -> None:
+    file = shipped_policies.shipped_policy("town03")
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(InvalidPolicy, match=r"town03\.onnx is not the policy of which town03\.json"):
+        load_policy(file)
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"planner": "athrl"}'])
+def test_damaged_card_is_named(folder: Path, content: str) -> None:
+    (folder / "town03.json").write_text(content)
+    with pytest.raises(EvaluatorError, match=r"town03\.json is no card of a policy"):
+        shipped_policies.shipped_policies()
+
+
+def test_every_policy_of_the_package_is_what_its_card_says() -> None:
+    for name, card in shipped_policies.shipped_policies().items():
+        assert load_policy(shipped_policies.shipped_policy(name)).description.planner == card.planner
+        assert json.dumps(card.scores)

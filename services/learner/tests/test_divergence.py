@@ -1,0 +1,113 @@
+"""A number that is none stops training: the checkpoint before it is kept, and its batch can be looked at."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from athrl_learner import LearnerError, Summary, run_learner, translation
+from athrl_learner.checkpoint import newest_intact_checkpoint
+from athrl_learner.training import Trainer
+from athrl_planners import TrainingDiverged, agent
+from athrl_protocol import RunFile
+
+GOOD_UPDATES = 5
+
+
+@pytest.fixture
+def longer(run_file: RunFile) -> RunFile:
+    """Long enough for the loss to go wrong on the way, with checkpoints all the time."""
+    run = run_file.run.model_copy(update={"environment_steps": 4000})
+    learner = run_file.learner.model_copy(update={"checkpoint_seconds": 0.01})
+    return run_file.model_copy(update={"run": run, "learner": learner})
+
+
+def poison(monkeypatch: pytest.MonkeyPatch, loss: str) -> None:
+    """Have the critics' or the actors' loss be no number from some update on."""
+    calls = []
+    critic_loss, actor_loss = agent.critic_loss, agent.actor_loss
+
+    def poisoned_critic_loss(*arguments: object) -> object:
+        calls.append(None)
+        result = critic_loss(*arguments)
+        return result._replace(loss=result.loss * float("nan")) if len(calls) > GOOD_UPDATES else result
+
+    def poisoned_actor_loss(*arguments: object) -> object:
+        calls.append(None)
+        value, metrics = actor_loss(*arguments)
+        return (value * float("nan"), metrics) if len(calls) > GOOD_UPDATES else (value, metrics)
+
+    if loss == "critic":
+        monkeypatch.setattr(agent, "critic_loss", poisoned_critic_loss)
+    else:
+        monkeypatch.setattr(agent, "actor_loss", poisoned_actor_loss)
+
+
+def all_finite(state: object) -> bool:
+    if isinstance(state, torch.Tensor):
+        return bool(torch.isfinite(state).all()) if state.is_floating_point() else True
+    if isinstance(state, dict):
+        return all(map(all_finite, state.values()))
+    return True
+
+
+@pytest.mark.parametrize("loss", ["critic", "actor"])
+def test_training_stops_with_the_last_good_checkpoint_and_its_batch(longer, fake_actor, monkeypatch, loss):
+    stopped = threading.Event()
+    stopped.set()
+    folder = run_learner(longer, stop=stopped).folder  # a checkpoint at least
+    poison(monkeypatch, loss)
+    with ThreadPoolExecutor(1) as pool, fake_actor:
+        running = pool.submit(run_learner, None, resume=folder, stop=threading.Event())
+        with pytest.raises(LearnerError) as refusal:
+            running.result(timeout=120)
+    line = str(refusal.value)
+    assert "\n" not in line
+    assert "nan" in line
+    _, checkpoint = newest_intact_checkpoint(folder / "checkpoints")
+    assert checkpoint.agent["planner"]["updates"] <= 2 * GOOD_UPDATES + 1  # actors learn every second time
+    assert all_finite(checkpoint.agent["planner"]["networks"])
+    (batch,) = (folder / "diverged").iterdir()
+    assert str(batch) in line
+    check_batch(batch, longer)
+    monkeypatch.undo()
+    check_that_it_is_resumed(folder)
+
+
+def check_batch(path: Path, run_file: RunFile) -> None:
+    sequences = run_file.learner.batch // run_file.replay.sequence_length
+    with np.load(path, allow_pickle=False) as arrays:
+        assert arrays["images"].shape == (sequences, 6, 32, 32, 4)
+        assert arrays["actions/trajectory"].shape == (sequences, 5, 2)
+        assert {"motion", "rewards/intention", "initial_state/trajectory", "length"} <= set(arrays)
+        assert all(np.isfinite(arrays[name]).all() for name in arrays)
+
+
+def check_that_it_is_resumed(folder: Path) -> None:
+    """What was acknowledged is in the log: whoever resumes has it, and training goes well this time."""
+    stop = threading.Event()
+    stop.set()
+    resumed: Summary = run_learner(None, resume=folder, stop=stop)
+    assert resumed.environment_steps > 0
+
+
+def test_loss_that_nobody_has_looked_at_is_noticed_before_anything_is_kept(run_file, make_chunk, monkeypatch):
+    # As on a GPU, where an update waits for nobody: a report between the update and the look forgets nothing.
+    learner = translation.make_agent(run_file)
+    replay = translation.make_replay(run_file, learner)
+    for sequence in translation.make_reader(run_file, learner).sequences(make_chunk(sequences=4)):
+        replay.insert(sequence)
+    trainer = Trainer(learner, replay)
+    trainer.update(replay.sample(20), 0.0)
+    trainer.require_finite()
+    monkeypatch.setattr(learner, "device", torch.device("meta"))
+    nan = {"intention/critic_loss": torch.tensor(float("nan"))}
+    monkeypatch.setattr(learner, "update", lambda *_: (nan, torch.zeros(4)))
+    trainer.update(replay.sample(20), 0.0)
+    assert np.isnan(trainer.metrics()["loss/intention/critic_loss"])
+    with pytest.raises(TrainingDiverged, match="intention/critic_loss up to update 1 is nan"):
+        trainer.require_finite()
