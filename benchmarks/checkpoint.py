@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import torch
+from athrl.runs import know_planners
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.checkpoint import CheckpointContent, read_checkpoint, write_checkpoint
@@ -22,7 +23,7 @@ from athrl_learner.parts import make_experience
 from athrl_learner.run import short_collections
 from athrl_learner.snapshot import restore_snapshot, take_snapshot
 from athrl_learner.store import ExperienceStore
-from athrl_planners import AtHRL
+from athrl_planners import Agent
 from athrl_protocol import ChunkIntake, RunFile, encode_chunk, open_session, read_run_file
 
 from benchmarks.experience import made_up_chunk, numbered
@@ -31,11 +32,11 @@ from benchmarks.experience import made_up_chunk, numbered
 _DIFFERENT = 50
 
 
-def filled(run_file: RunFile, folder: Path, agent: AtHRL) -> ExperienceStore:
+def filled(run_file: RunFile, folder: Path, agent: Agent) -> ExperienceStore:
     """A store whose replay is full."""
     store = make_experience(run_file, agent, Arrivals(), translation.make_log(run_file, folder))
-    steps, state = run_file.replay.sequence_length, max(size for _, size in agent.level_sizes.values())
-    chunks = [made_up_chunk(steps, state=state, seed=seed) for seed in range(_DIFFERENT)]
+    steps = run_file.replay.sequence_length
+    chunks = [made_up_chunk(steps, seed=seed) for seed in range(_DIFFERENT)]
     for sequence in range(store.replay.slots):
         chunk = numbered(chunks[sequence % _DIFFERENT], sequence)
         store.accept(chunk, encode_chunk(chunk))
@@ -50,7 +51,7 @@ def free_address() -> str:
 
 
 def milliseconds_of_snapshots(
-    run_file: RunFile, agent: AtHRL, store: ExperienceStore, repeats: int
+    run_file: RunFile, agent: Agent, store: ExperienceStore, repeats: int
 ) -> tuple[list[tuple[float, float]], CheckpointContent]:
     """What each of `repeats` snapshots between two updates took, of the clock and of a core; the last one."""
     taken = []
@@ -71,7 +72,7 @@ def milliseconds_of_copies(store: ExperienceStore, repeats: int) -> list[float]:
     taken = []
     for _ in range(repeats):
         began = time.perf_counter()
-        copies = [column.copy() for column in store.replay._columns.values()]
+        copies = [column.copy() for column in store.replay.columns().values()]
         taken.append(1000 * (time.perf_counter() - began))
         del copies
     return taken
@@ -83,6 +84,7 @@ def main() -> None:
     parser.add_argument("--transitions", type=int, default=100_000, help="in the replay")
     parser.add_argument("--repeats", type=int, default=20, help="snapshots")
     arguments = parser.parse_args()
+    know_planners()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run_file = read_run_file(
@@ -93,7 +95,7 @@ def main() -> None:
                 f"run.environment_steps={10 * arguments.transitions}",
             ],
         )
-        torch.set_num_threads(run_file.learner.threads)
+        torch.set_num_threads(run_file.learner.threads or 1)
         agent = translation.make_agent(run_file)
         store = filled(run_file, folder / "experience", agent)
         with short_collections():

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from athrl.runs import know_planners
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.parts import make_experience
@@ -137,6 +138,7 @@ def news(session: Any, run_file: RunFile, store: ExperienceStore, arrivals: Arri
 
 def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
     """Let a crowd join and send, and tell how it went."""
+    know_planners()
     run_file = read_run_file(
         None,
         [

@@ -15,7 +15,8 @@ import time
 import warnings
 
 import numpy as np
-from athrl_driving.policy import EnvironmentBatch, OnnxPolicy, environment_config
+from athrl.runs import know_planners
+from athrl_driving.policy import EnvironmentBatch, OnnxPolicy, environment_config, spread_towns
 from athrl_learner import translation
 from athrl_planners import PolicyExporter
 from athrl_protocol import RunFile, read_run_file
@@ -28,9 +29,13 @@ class Driving:
 
     def __init__(self, run_file: RunFile) -> None:
         settings = run_file.environment.model_dump()
-        town, count = settings.pop("town"), run_file.actor.environments
+        shares, count = settings.pop("towns"), run_file.actor.environments
         self._policy = OnnxPolicy(PolicyExporter(translation.make_agent(run_file)).artefact())
-        self._batch = EnvironmentBatch(town, environment_config(**settings), count)
+        self._batch = EnvironmentBatch(
+            spread_towns(shares, count),
+            environment_config(**settings),
+            self._policy.description.action_kind,
+        )
         self._states = self._policy.initial_states(count)
         self._seed = 0
         for row in range(count):
@@ -40,8 +45,7 @@ class Driving:
         """Make a decision in each environment, begin anew those that ended; return how many it was."""
         step = self._policy.step(self._batch.images, self._batch.motion, self._states)
         self._states = {name: states.copy() for name, states in step.states.items()}
-        level = self._policy.metadata.acting_level
-        outcome = self._batch.step(level.normalised(step.actions[level.name]))
+        outcome = self._batch.step(self._policy.description.environment_action(step.actions))
         for row in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
             self._begin(row)
         return len(self._batch)
@@ -66,7 +70,7 @@ def actor_rate(run_file: RunFile, seconds: float) -> float:
 def stock_rate(run_file: RunFile) -> float:
     """Decisions a CPU second of stock highway-env's traffic, over whole rounds of its rules."""
     environment = run_file.environment
-    road = town_road(environment.town, environment.vehicles, regulated=True)
+    road = town_road(next(iter(environment.towns)), environment.vehicles, regulated=True)
     frames = RULES_EVERY * environment.ticks_per_decision
     return RULES_EVERY / sum(run(road) for _ in range(frames))
 
@@ -78,6 +82,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], help="settings of the run file")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
+    know_planners()
     run_file = read_run_file(None, arguments.set)
     stock, actor = stock_rate(run_file), actor_rate(run_file, arguments.seconds)
     figures = {

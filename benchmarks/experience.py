@@ -8,8 +8,11 @@ import numpy as np
 from athrl_protocol import Chunk, LevelColumns
 
 
-def made_up_chunk(steps: int, *, image_size: int = 32, state: int = 128, seed: int = 0) -> Chunk:
-    """A chunk of `steps` decisions: a road and a few vehicles in the image, everything else at random."""
+def made_up_chunk(steps: int, *, image_size: int = 32, seed: int = 0) -> Chunk:
+    """A chunk of `steps` decisions of the default planner, which remembers nothing.
+
+    There are a road and a few vehicles in the image, everything else is random.
+    """
     random = np.random.default_rng(seed)
     levels = {
         "intention": random.uniform(0, 2, (steps, 1)),
@@ -30,7 +33,7 @@ def made_up_chunk(steps: int, *, image_size: int = 32, state: int = 128, seed: i
             name: LevelColumns(
                 actions.astype(np.float32),
                 random.normal(size=steps).astype(np.float32),
-                random.normal(size=(1, state)).astype(np.float32),
+                np.zeros((1, 0), np.float32),
             )
             for name, actions in levels.items()
         },

@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import zstandard
-from athrl_learner.experience import ChunkReader, ExpectedLevel
-from athrl_planners import ActionRange, ObservationSettings, Sequence
+from athrl_learner.experience import ChunkReader
+from athrl_planners import Sequence
 from athrl_protocol import (
     Chunk,
     Frame,
@@ -44,6 +44,15 @@ from athrl_protocol.announcements import evaluation, policy, state
 from athrl_protocol.ledger import Ledger
 from athrl_protocol.metrics import decode_metrics
 from athrl_protocol.schema import decode_message, encode_message
+from athrl_spaces import (
+    WAYPOINT,
+    Continuous,
+    LevelDescription,
+    Limits,
+    Observation,
+    PolicyDescription,
+    action_kind,
+)
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
@@ -69,17 +78,19 @@ class Target(NamedTuple):
     receive: Callable[[bytes], object]
 
 
-def observation() -> ObservationSettings:
+def observation() -> Observation:
     """Return what the fuzzed run's planner perceives."""
-    return ObservationSettings(SIZE)
+    return Observation(SIZE)
 
 
 def reader() -> ChunkReader:
     """Return the learner's check of what fits its run."""
-    angle = ActionRange("angle", "rad", -1.0, 1.0, "gaussian", 0.1)
-    speed = ActionRange("speed", "m/s", 0.0, 8.0, "gaussian", 0.1)
-    levels = {"intention": ExpectedLevel((angle,), 8), "trajectory": ExpectedLevel((angle, speed), 8)}
-    return ChunkReader(observation(), LENGTH, LONGEST, levels)
+    limits = Limits()
+    levels = (
+        LevelDescription("intention", (Continuous("intention", "", 0.0, 2.0),), 8),
+        LevelDescription("trajectory", action_kind(WAYPOINT).describe(limits), 8),
+    )
+    return ChunkReader(PolicyDescription("fuzzed", WAYPOINT, limits, observation(), levels), LENGTH, LONGEST)
 
 
 def example_chunk(generator: np.random.Generator) -> Chunk:
@@ -102,7 +113,7 @@ def example_chunk(generator: np.random.Generator) -> Chunk:
         motion=floats(TIME + 1, settings.motion_size),
         levels={
             "intention": LevelColumns(floats(TIME, 1), floats(TIME), floats(SEQUENCES, 8)),
-            "trajectory": LevelColumns(floats(TIME, 2), floats(TIME), floats(SEQUENCES, 8)),
+            "trajectory": LevelColumns(0.5 * floats(TIME, 2), floats(TIME), floats(SEQUENCES, 8)),
         },
         policy_version=np.arange(TIME, dtype=np.int64),
         terminated=False,

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from athrl.runs import know_planners
 from athrl_learner import translation
 from athrl_learner.arrivals import Arrivals
 from athrl_learner.parts import make_experience
@@ -108,6 +109,7 @@ def main() -> None:
     parser.add_argument("--through", choices=KINDS, default="nothing", help="stands before the learner")
     parser.add_argument("--folder", type=Path, help="where the log is written; by default a temporary one")
     arguments = parser.parse_args()
+    know_planners()
     run_file = read_run_file(
         None,
         [

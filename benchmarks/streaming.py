@@ -30,6 +30,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from athrl.runs import know_planners
 from athrl_actor.actor import ROLE, Actor
 from athrl_actor.rollout import Rollout
 from athrl_protocol import Chunk, RunFile, join_run, read_run_file
@@ -60,6 +61,7 @@ def learner(address: str, overrides: list[str], folder: str, policy: Path | None
         serve_run_file,
     )
 
+    know_planners()
     run_file = read_run_file(None, overrides)
     log = translation.make_log(run_file, Path(folder))
     untrained = translation.make_agent(run_file)
@@ -178,7 +180,7 @@ class Measured:
         clock, after = time.perf_counter() - began, busy_by_thread(main, self._upload)
         gathering = 1e6 * self.rollout.gathering / decisions
         self.rollout.silent = False
-        self.rollout.abandon(range(len(self._actor._batch)))  # what it drove in silence is no experience
+        self.rollout.abandon(range(len(self.rollout)))  # what it drove in silence is no experience
         busy = {kind: 1e6 * (after[kind] - before[kind]) / decisions for kind in _KINDS}
         return Turn(decisions, 1e6 * clock / decisions, busy, gathering)
 
@@ -195,7 +197,7 @@ class Measured:
                 actor._hand_over(chunks)
                 self.rollout.gathering += time.thread_time() - began
                 steps += 1
-        return steps * len(actor._batch)
+        return steps * len(self.rollout)
 
 
 def cost_of(work: Callable[[Chunk], object], chunks: list[Chunk], seconds: float = 0.5) -> float:
@@ -293,6 +295,7 @@ def main() -> None:
         learner(arguments.learner, arguments.set, arguments.folder, arguments.policy)
         return
     overrides = [f"run.name={RUN}", "run.environment_steps=1000000000", *arguments.set]
+    know_planners()
     run_file = read_run_file(None, overrides)
     load = os.getloadavg()[0]
     with learner_process(overrides, arguments.policy) as address:

@@ -1,7 +1,16 @@
-"""How many updates a second training does on the CPU and on a GPU: where a GPU pays, and what it costs there.
+"""How many decisions a second training takes in: our update, the same one in plain torch, and a PPO's.
 
-The learner's own: sequences sampled from its replay, both levels of the default planner trained on them, and
-what they report read. A larger planner beside it, since a small one keeps no GPU busy.
+    python -m benchmarks.updates                     # one thread, this machine's faster precision
+    python -m benchmarks.updates --precision float32 # in which the losses of ours and the plain one are equal
+    python -m benchmarks.updates --sampling          # only what the replay takes to draw a batch
+    python -m benchmarks.updates --device cuda       # ours and the plain one on a GPU as well
+
+Ours trains the planner atHRL on images of 32 x 32 out of its replay: 512 single decisions, and 16, 64 and 128
+sequences of 10 with an LSTM. "Plain" is `benchmarks.plain_update`, the same mathematics in straightforward
+eager float32. The PPO is Stable-Baselines3's, its own `train()` on a full rollout buffer of such observations
+in batches of 512, with the networks that it has in `benchmarks.peers`. All take turns in one process. Counted
+are decisions in batches, each time they are drawn; sampling is included. `..._a_core` is by the processor's
+time instead of the clock's, which others on the machine do not change. The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -9,116 +18,218 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import tempfile
 import time
-from itertools import product
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
-from athrl_learner import translation
-from athrl_protocol import RunFile, read_run_file
+from athrl_planners import Agent, Sequence, SequenceReplay, make_agent
+from athrl_planners.making import make_replay
+from athrl_planners.precision import faster_precision
+from athrl_spaces import Observation
 
-from benchmarks.checkpoint import filled
+from benchmarks.experience import made_up_chunk
+from benchmarks.plain_update import PlainUpdate
 
-TURNS = 3
+DECISIONS = 20_000  # in the replay
+LENGTH = 10  # of a sequence
 WARM_UP = 5  # updates
-TRANSITIONS = 20_000  # in the replay
-PLANNERS = {
-    "default": [],
-    "large": ["planner.hidden_features=512", "planner.recurrent_features=256"],
-}
+DIFFERENT = 50  # sequences; the replay holds each of them many times
+SHAPES = ("512", "16x10", "64x10", "128x10")
 
 
-class Training:
-    """A learner that trains on a full replay, and how many updates a second it does."""
+@dataclass
+class Contestant:
+    """Something that trains: `update` trains once and returns on how many decisions."""
 
-    def __init__(self, device: str, planner: str, batch: int, threads: int, folder: Path) -> None:
-        self.device, self.planner, self.batch, self.threads = device, planner, batch, threads
-        self.rates: list[float] = []
-        run_file = self._run_file()
-        self._agent = translation.make_agent(run_file)
-        self._store = filled(run_file, folder, self._agent)
-        self._run(WARM_UP)
+    name: str
+    update: Callable[[], int]
+    device: str = "cpu"
+    rates: list[float] = field(default_factory=list)
+    rates_a_core: list[float] = field(default_factory=list)
+
+    def warm_up(self) -> None:
+        """Let it allocate what it will need."""
+        for _ in range(WARM_UP):
+            self.update()
 
     def turn(self, seconds: float) -> None:
-        """Train for so long."""
-        began, updates = time.perf_counter(), 0
+        """Train for so long, and note the decisions a second."""
+        began, worked, decisions = time.perf_counter(), time.process_time(), 0
         while time.perf_counter() - began < seconds:
-            self._run(1)
-            updates += 1
-        self.rates.append(updates / (time.perf_counter() - began))
+            decisions += self.update()
+        if self.device == "cuda":
+            torch.cuda.synchronize()
+        self.rates.append(decisions / (time.perf_counter() - began))
+        self.rates_a_core.append(decisions / (time.process_time() - worked))
 
-    def close(self) -> None:
-        """Let go of the log."""
-        self._store.log.close()
+    def figures(self) -> dict[str, int]:
+        """The medians of its turns."""
+        clock = {self.name: round(statistics.median(self.rates))}
+        if self.device == "cuda":
+            return clock
+        return {**clock, f"{self.name}_a_core": round(statistics.median(self.rates_a_core))}
 
-    def figures(self) -> dict[str, Any]:
-        """What it was and what came of it."""
-        return {
-            "device": self.device,
-            "threads": self.threads,
-            "planner": self.planner,
-            "batch": self.batch,
-            "updates_per_second": round(statistics.median(self.rates), 1),
-            "sequences_per_second": round(self.batch * statistics.median(self.rates)),
-        }
 
-    def _run(self, updates: int) -> None:
-        torch.set_num_threads(self.threads)
-        for _ in range(updates):
-            self._agent.update(self._store.replay.sample(self.batch))
+def ours(agent: Agent, replay: SequenceReplay, decisions: int) -> Callable[[], int]:
+    """Our update, as the learner does it."""
 
-    def _run_file(self) -> RunFile:
-        return read_run_file(
-            None,
-            [
-                f"learner.device={self.device}",
-                f"learner.batch={self.batch}",
-                f"replay.capacity={TRANSITIONS}",
-                "learner.samples_per_insert=0.001",
-                *PLANNERS[self.planner],
-            ],
+    def update() -> int:
+        batch = replay.sample(decisions)
+        agent.update(batch)
+        return batch.transitions
+
+    return update
+
+
+def plain(agent: Agent, replay: SequenceReplay, decisions: int) -> Callable[[], int]:
+    """The plain update, from where that agent is."""
+    other = PlainUpdate(agent)
+
+    def update() -> int:
+        batch = replay.sample(decisions)
+        other.update(batch)
+        return batch.transitions
+
+    return update
+
+
+def filled(agent: Agent, capacity: int = DECISIONS, priority: tuple[float, float] | None = None) -> Any:
+    """A full replay of roads, routes and vehicles, with random numbers for everything else."""
+    replay = make_replay(agent, capacity, LENGTH, 0, priority)
+    random = np.random.default_rng(0)
+    levels = agent.description.levels
+    made = [made_up_chunk(LENGTH, seed=seed) for seed in range(DIFFERENT)]
+    for number in range(replay.slots):
+        chunk = made[number % DIFFERENT]
+        replay.insert(
+            Sequence(
+                images=chunk.images,
+                motion=chunk.motion,
+                actions={name: columns.actions for name, columns in chunk.levels.items()},
+                rewards={name: columns.rewards for name, columns in chunk.levels.items()},
+                initial_state={
+                    level.name: random.normal(size=level.state_size).astype(np.float32) for level in levels
+                },
+                length=LENGTH,
+                terminated=number % 50 == 0,
+            )
         )
+    return replay
+
+
+def ppo() -> Callable[[], int]:
+    """Stable-Baselines3's PPO with a full rollout buffer of 32 x 128 decisions; an update is one epoch."""
+    from benchmarks.made_up_ppo import made_up_ppo
+
+    model = made_up_ppo()
+
+    def update() -> int:
+        model.train()
+        return model.rollout_buffer.buffer_size * model.rollout_buffer.n_envs * model.n_epochs
+
+    return update
+
+
+def contestants(shape: str, device: str, precision: torch.dtype) -> list[Contestant]:
+    """Ours and the plain one on the CPU, and on a GPU if `device` is one, on batches of that shape."""
+    decisions = int(np.prod([int(part) for part in shape.split("x")]))
+    made = []
+    for place in ["cpu", "cuda"] if device == "cuda" else ["cpu"]:
+
+        def agent(precision: torch.dtype, place: str = place) -> Agent:
+            settings = {"memory": "lstm" if "x" in shape else "none"}
+            return make_agent(
+                "athrl", settings, observation=Observation(32), device=place, precision=precision
+            )
+
+        used = precision if place == "cpu" else faster_precision(torch.device(place)).precision
+        trained, start = agent(used), agent(torch.float32)
+        replay = filled(trained)
+        suffix = "" if place == "cpu" else "_cuda"
+        made.append(Contestant(f"ours{suffix}", ours(trained, replay, decisions), place))
+        made.append(Contestant(f"plain{suffix}", plain(start, replay, decisions), place))
+    return made
+
+
+def measured(shape: str, peer: Contestant | None, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Everybody in turns on batches of one shape."""
+    everybody = contestants(shape, arguments.device, arguments.dtype)
+    for each in everybody:
+        each.warm_up()
+    if peer is not None:
+        peer.rates.clear()
+        peer.rates_a_core.clear()
+        everybody.append(peer)
+    for _ in range(arguments.turns):
+        for each in everybody:
+            each.turn(arguments.seconds)
+    rates = {name: rate for each in everybody for name, rate in each.figures().items()}
+    ratios = {}
+    for name, rate in rates.items():
+        other, core, _ = name.partition("_a_core")
+        if not name.startswith("ours"):
+            ratios[f"ours_to_{name}"] = round(rates[f"ours{_place(other)}{core}"] / rate, 2)
+    return {"batch": shape, **rates, **ratios}
+
+
+def _place(name: str) -> str:
+    return "_cuda" if name.endswith("_cuda") else ""
+
+
+def sampling() -> dict[str, float]:
+    """Milliseconds for a batch of 512 decisions as images, out of more than any cache holds: the median."""
+    agent = make_agent("athrl")
+    taken = {}
+    for name, priority in (("uniform", None), ("prioritised", (0.6, 0.4))):
+        replay = filled(agent, 100_000, priority)
+        times = []
+        for _ in range(300):
+            began = time.perf_counter()
+            replay.sample(512)
+            times.append(1000 * (time.perf_counter() - began))
+        taken[name] = round(statistics.median(times), 3)
+    return taken
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--batches", type=int, nargs="+", default=[16, 64, 256])
-    parser.add_argument("--threads", type=int, nargs="+", default=[1], help="of the CPU")
+    parser.add_argument("--batches", nargs="+", choices=SHAPES, default=SHAPES, metavar="SHAPE")
+    parser.add_argument("--precision", choices=("auto", "float32", "bfloat16"), default="auto")
+    parser.add_argument("--threads", type=int, default=1, help="of the CPU")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each turn")
+    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--without-ppo", action="store_true", help="needs no stable-baselines3")
+    parser.add_argument("--sampling", action="store_true", help="measure sampling alone")
     arguments = parser.parse_args()
-    places = [("cpu", threads) for threads in arguments.threads]
-    if torch.cuda.is_available():
-        places.append(("cuda", 1))
+    torch.set_num_threads(arguments.threads)
+    result: dict[str, Any] = {"torch": torch.__version__, "threads": arguments.threads}
+    if not arguments.sampling:
+        result |= _updates(arguments)
+    result["sampling_ms"] = sampling()
+    print(f"sampling 512 decisions: {result['sampling_ms']} ms")
+    print(json.dumps(result))
+
+
+def _updates(arguments: argparse.Namespace) -> dict[str, Any]:
+    fastest = faster_precision(torch.device("cpu"))
+    wanted = {"auto": fastest.precision, "float32": torch.float32, "bfloat16": torch.bfloat16}
+    arguments.dtype = wanted[arguments.precision]
+    peer = None if arguments.without_ppo else Contestant("sb3_ppo", ppo())
     rows = []
-    for planner, batch in product(PLANNERS, arguments.batches):
-        rows += _beside_each_other(places, planner, batch, arguments.seconds)
-    for row in rows:
-        print("  ".join(f"{name} {value}" for name, value in row.items()))
-    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
-    print(json.dumps({"torch": torch.__version__, "gpu": gpu, "rows": rows}))
-
-
-def _beside_each_other(
-    places: list[tuple[str, int]], planner: str, batch: int, seconds: float
-) -> list[dict[str, Any]]:
-    """Train in all places in turns; `ratio` is to the first one."""
-    with tempfile.TemporaryDirectory() as name:
-        trainings = [
-            Training(device, planner, batch, threads, Path(name) / f"{device}-{threads}")
-            for device, threads in places
-        ]
-        for _ in range(TURNS):
-            for training in trainings:
-                training.turn(seconds)
-        for training in trainings:
-            training.close()
-    rows = [training.figures() for training in trainings]
-    return [
-        {**row, "ratio": round(row["updates_per_second"] / rows[0]["updates_per_second"], 2)} for row in rows
-    ]
+    for shape in arguments.batches:
+        rows.append(measured(shape, peer, arguments))
+        print("  ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
+    return {
+        "precision": str(arguments.dtype).removeprefix("torch."),
+        "bfloat16_speed": round(fastest.speed, 2),
+        "gpu": torch.cuda.get_device_name() if arguments.device == "cuda" else None,
+        "decisions_per_second": rows,
+    }
 
 
 if __name__ == "__main__":
