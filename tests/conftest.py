@@ -16,8 +16,31 @@ from pathlib import Path
 
 import psutil
 import pytest
+from athrl.runs import know_planners
+from athrl_protocol.run_file import declare_planners, declared_planners
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # tests is no installed package
 
 MARK = "ATHRL_TEST"
+
+TINY: dict[str, object] = {
+    "run.environment_steps": 800,
+    "environment.vehicles": 10,
+    "environment.episode_ticks": 120,
+    "exploration.random_decisions": 100,
+    "planner.hidden_features": 16,
+    "planner.head_features": 16,
+    "replay.capacity": 2000,
+    "learner.batch": 40,
+    "learner.samples_per_insert": 4.0,
+    "learner.publish_seconds": 0.5,
+    "learner.checkpoint_seconds": 2.0,
+    "actor.environments": 2,
+    "evaluator.episodes": 2,
+    "evaluator.final_episodes": 2,
+    "evaluator.seconds_between": 1.0,
+}
+"""Settings of a run that lasts seconds."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -104,6 +127,15 @@ class Command:
             started.wait(timeout=10)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _planners() -> Iterator[None]:
+    """Run files that a test reads itself are held to the planners' settings, as the command's are."""
+    before = declared_planners()
+    know_planners()
+    yield
+    declare_planners(before)
+
+
 @pytest.fixture
 def command(tmp_path: Path) -> Iterator[Command]:
     """The command in an empty folder; what it leaves running is ended after the test."""
@@ -112,8 +144,15 @@ def command(tmp_path: Path) -> Iterator[Command]:
     command.end_all()
 
 
-@pytest.fixture
-def port() -> int:
+@pytest.fixture(scope="module")
+def shared_command(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command]:
+    """The command in a folder that all tests of a module share."""
+    command = Command(tmp_path_factory.mktemp("shared"))
+    yield command
+    command.end_all()
+
+
+def free_port() -> int:
     """A port of the loopback interface that nobody listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -121,27 +160,30 @@ def port() -> int:
 
 
 @pytest.fixture
-def tiny(port: int) -> list[str]:
-    """Settings of a run that lasts seconds."""
-    settings = {
-        "run.environment_steps": 800,
-        "environment.vehicles": 10,
-        "environment.episode_ticks": 120,
-        "exploration.random_decisions": 100,
-        "planner.hidden_features": 16,
-        "planner.recurrent_features": 8,
-        "replay.capacity": 2000,
-        "learner.batch": 4,
-        "learner.samples_per_insert": 4.0,
-        "learner.publish_seconds": 0.5,
-        "learner.checkpoint_seconds": 2.0,
-        "actor.environments": 2,
-        "evaluator.episodes": 2,
-        "evaluator.final_episodes": 2,
-        "evaluator.seconds_between": 1.0,
-        "network.listen": f"tcp/127.0.0.1:{port}",
-    }
+def port() -> int:
+    """A port of the loopback interface that nobody listens on."""
+    return free_port()
+
+
+def words_of(settings: dict[str, object]) -> list[str]:
+    """Settings as words of the command line."""
     return [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+
+
+@pytest.fixture
+def tiny(port: int) -> list[str]:
+    """Settings of a run that lasts seconds and listens at `port`, as words of the command line."""
+    return words_of({**TINY, "network.listen": f"tcp/127.0.0.1:{port}"})
+
+
+@pytest.fixture(scope="session")
+def another_tiny() -> Callable[[dict[str, object]], list[str]]:
+    """Gives such words with changed settings, for a run that listens at a port of its own each time."""
+
+    def words(changes: dict[str, object]) -> list[str]:
+        return words_of({**TINY, "network.listen": f"tcp/127.0.0.1:{free_port()}", **changes})
+
+    return words
 
 
 @pytest.fixture

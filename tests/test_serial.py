@@ -1,26 +1,19 @@
 """A serial run repeats itself bit for bit: run again, stopped, interrupted or killed and gone on with."""
 
-import json
 import random
 import shutil
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-import torch
-from athrl.serial.session import run_serial
-from athrl_learner import CannotResume, translation
-from athrl_learner.arrivals import Arrivals
+from athrl_learner import CannotResume
 from athrl_learner.checkpoint import newest_intact_checkpoint
-from athrl_learner.parts import make_experience
 from athrl_learner.segments import numbered_segments
-from athrl_learner.snapshot import restore_snapshot
-from athrl_protocol.run_file import RunFile, read_run_file
+from athrl_protocol.run_file import read_run_file
+
+from tests.serial_runs import drive_serially, everything, require_equal, torch_left_as_it_was
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -34,9 +27,15 @@ TINY = (
     "environment.episode_ticks=120",
     "exploration.random_decisions=100",
     "planner.hidden_features=16",
+    "planner.head_features=16",
+    "planner.atoms=11",
+    "planner.memory=lstm",
     "planner.recurrent_features=8",
+    "planner.shared_trunk=false",
     "replay.capacity=300",
-    "learner.batch=4",
+    "replay.sequence_length=10",
+    "replay.burn_in=2",
+    "learner.batch=40",
     "learner.samples_per_insert=4",
     "learner.publish_seconds=0.5",
     "learner.checkpoint_seconds=1",
@@ -55,11 +54,8 @@ def arguments(folder: Path, name: str, *more: str) -> list[str]:
 
 @pytest.fixture(scope="module", autouse=True)
 def torch_as_it_was() -> Iterator[None]:
-    """Serial runs in this process change torch for the whole of it."""
-    threads = torch.get_num_threads()
-    yield
-    torch.use_deterministic_algorithms(False)
-    torch.set_num_threads(threads)
+    with torch_left_as_it_was():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -71,53 +67,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def drive(folder: Path, name: str, *more: str, resume: bool = False, stop_at: int | None = None) -> bool:
-    """Drive a run in this process, from its beginning or on; whether it came to its end."""
-    settings = read_run_file(None, [*TINY, f"run.folder={folder}", f"run.name={name}", *more])
-    return run_serial(settings, resume=resume, stop=threading.Event(), stop_at=stop_at)
-
-
-def everything(folder: Path) -> dict[str, Any]:
-    """All that a run ended with: its newest checkpoint, the replay's arrays, the files beside it."""
-    found = newest_intact_checkpoint(folder / "checkpoints")
-    assert found is not None
-    _, content = found
-    run_file: RunFile = read_run_file(folder / "run.toml", complete=True)
-    agent = translation.make_agent(run_file)
-    store = make_experience(
-        run_file, agent, Arrivals(), translation.make_log(run_file, folder / "experience")
-    )
-    restore_snapshot(content, agent, store, "driven again")
-    return {
-        "state": {name: value for name, value in content.state.items() if name != "run_file"},
-        "agent": content.agent,
-        "actor": content.actor,
-        "records": [content.log.next_record, content.log.oldest],
-        "replay": store.replay.columns(),
-        "policy": (folder / "policies" / "latest.onnx").read_bytes(),
-        "trace": (folder / "trace.txt").read_text(),
-        "scores": (folder / "evaluations.jsonl").read_text(),
-        "comparison": json.loads((folder / "evaluation.json").read_text())["drivers"],
-    }
-
-
-def require_equal(ours: Any, theirs: Any, where: str = "") -> None:
-    """Compare bit for bit, and name what differs."""
-    assert type(ours) is type(theirs), where
-    if isinstance(ours, dict):
-        assert list(ours) == list(theirs), where
-        for name in ours:
-            require_equal(ours[name], theirs[name], f"{where}.{name}")
-    elif isinstance(ours, list | tuple):
-        assert len(ours) == len(theirs), where
-        for index, (our, their) in enumerate(zip(ours, theirs, strict=True)):
-            require_equal(our, their, f"{where}[{index}]")
-    elif isinstance(ours, torch.Tensor):
-        require_equal(ours.numpy(), theirs.numpy(), where)
-    elif isinstance(ours, np.ndarray):
-        assert (ours.dtype, ours.shape) == (theirs.dtype, theirs.shape), where
-        assert ours.tobytes() == theirs.tobytes(), where
-    else:
-        assert ours == theirs, where
+    """Drive a run in this process, from its beginning or resumed; whether it came to its end."""
+    return drive_serially(folder, name, (*TINY, *more), resume=resume, stop_at=stop_at)
 
 
 def require_same_run(runs: Path, name: str) -> None:
@@ -241,8 +192,8 @@ def test_settings_that_the_environments_do_not_fit_change_nothing(runs: Path) ->
     with pytest.raises(CannotResume, match="does not fit the run's settings"):
         drive(runs, "whole", "actor.environments=4", resume=True)
     with pytest.raises(CannotResume, match="is not where it was"):
-        drive(runs, "whole", "environment.vehicles=9", resume=True)
-    assert read_run_file(runs / "whole" / "run.toml", complete=True).environment.vehicles == 10
+        drive(runs, "whole", "environment.ticks_per_decision=5", resume=True)
+    assert read_run_file(runs / "whole" / "run.toml", complete=True).environment.ticks_per_decision == 4
 
 
 def test_damaged_log_is_named_since_the_run_could_not_be_the_same(runs: Path) -> None:

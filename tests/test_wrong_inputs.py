@@ -48,12 +48,34 @@ def test_wrong_value_is_named_with_what_is_expected(command) -> None:
     )
 
 
+@pytest.mark.parametrize("service", ["train", "learner"])
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (["planner.kind=hdpg"], ["--set planner.kind=hdpg", "did you mean hddpg?"]),
+        (
+            ["planner.kind=ddpg", "planner.intention_noise=0.3"],
+            ["planner.intention_noise", '"athrl"', '"ddpg"'],
+        ),
+        (["planner.hidden_featurs=64"], ["planner.hidden_featurs", "did you mean planner.hidden_features?"]),
+    ],
+)
+def test_planner_or_setting_of_one_that_does_not_exist_is_named_before_anything_is_written(
+    command, service: str, settings: list[str], told: list[str]
+) -> None:
+    sets = [word for setting in settings for word in ("--set", setting)]
+    result = command.run(service, *sets, seconds=SECONDS)
+    assert_one_line(result, *told)
+    assert result.returncode == 2
+    assert not list(command.folder.iterdir())
+
+
 @pytest.mark.parametrize("words", [["train"], ["evaluate", "--policy", "blind", "--episodes", "2"]])
 def test_map_that_is_none_is_named_with_its_line(command, tmp_path: Path, words: list[str]) -> None:
     (tmp_path / "mine.xodr").write_text("<town/>")
-    result = command.run(*words, "--set", "environment.town=mine.xodr", seconds=SECONDS)
+    result = command.run(*words, "--set", "environment.towns=mine.xodr", seconds=SECONDS)
     assert_one_line(result, "mine.xodr", "line 1", "OpenDRIVE")
-    result = command.run(*words, "--set", "environment.town=gone.xodr", seconds=SECONDS)
+    result = command.run(*words, "--set", "environment.towns=gone.xodr", seconds=SECONDS)
     assert_one_line(result, "gone.xodr", "no such file")
 
 
@@ -66,7 +88,7 @@ def test_unknown_town_is_named_by_the_option_that_gave_it(command) -> None:
 
 @pytest.mark.parametrize("words", [["train"], ["evaluate", "--policy", "blind", "--episodes", "2"]])
 def test_more_vehicles_than_the_town_has_room_for_are_refused(command, words: list[str]) -> None:
-    settings = ["--set", "environment.town=town02", "--set", "environment.vehicles=1000"]
+    settings = ["--set", "environment.towns=town02", "--set", "environment.vehicles=1000"]
     assert_one_line(command.run(*words, *settings, seconds=SECONDS), "1000", "room for")
 
 
@@ -77,10 +99,10 @@ def test_more_vehicles_than_the_town_has_room_for_are_refused(command, words: li
         ("--set run.seed=4", "--set run.seed: evaluate only drives"),
         ("--set evaluator.recordings_kept=4", "--set evaluator.recordings_kept: evaluate only drives"),
         ("--set evaluator.seed=4 --seed 5", "--set evaluator.seed and --seed say the same"),
-        ("--set environment.town=town02 --town town04", "--set environment.town and --town say the same"),
+        ("--set environment.towns=town02 --town town04", "--set environment.towns and --town say the same"),
         ("--case-study rondabout", "it should be roundabout, oncoming-traffic, unprotected-left or all"),
         ("--case-study all --town town02", "--town has no place beside --case-study"),
-        ("--case-study all --set environment.town=town02", "--set environment.town has no place beside"),
+        ("--case-study all --set environment.towns=town02", "--set environment.towns has no place beside"),
     ],
 )
 def test_evaluate_refuses_what_it_would_ignore(command, words: str, told: str) -> None:
@@ -149,9 +171,9 @@ def test_run_that_is_finished_is_named_with_what_makes_it_longer(command) -> Non
     folder.mkdir(parents=True)
     settings = command.run("run-file", seconds=SECONDS).stdout
     (folder / "run.toml").write_text(settings)
-    (folder / "evaluation.json").write_text('{"environment_steps": 30001}')
+    (folder / "evaluation.json").write_text('{"environment_steps": 400001}')
     result = command.run("train", "--resume", "done", seconds=SECONDS)
-    assert_one_line(result, "runs/done is finished", "30001 of 30000", "--set run.environment_steps=60000")
+    assert_one_line(result, "runs/done is finished", "400001 of 400000", "--set run.environment_steps=800000")
 
 
 def test_port_in_use_is_named(command, tiny: list[str], port: int) -> None:

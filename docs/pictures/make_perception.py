@@ -19,8 +19,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from athrl_driving.drivers import RuleBasedDriver
 from athrl_driving.envs import TownEnv
-from athrl_driving.perception import CHANNELS, EGO_ABOVE_LOWER_EDGE, LEVEL_HEIGHT, WINDOW_SIDE
+from athrl_driving.perception import EGO_ABOVE_LOWER_EDGE, LEVEL_HEIGHT, WINDOW_SIDE
 from athrl_driving.scenarios import SCENARIOS
+from athrl_spaces import CHANNELS
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.patches import Polygon, Rectangle

@@ -250,7 +250,7 @@ def _other_shape(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
 
 
 def _too_large(chunk: athrl_pb2.Chunk, chance: random.Random) -> bytes:
-    return bytes(2**20)
+    return bytes(2**22)
 
 
 @functools.cache

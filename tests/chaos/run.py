@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from athrl.certificates import make_all
+from athrl.runs import know_planners
 from athrl_protocol.run_file import RunFile, read_run_file
 
 from tests.chaos.cutter import HOST, Link
@@ -25,9 +26,13 @@ _SETTINGS = {
     "environment.episode_ticks": 200,
     "exploration.random_decisions": 500,
     "planner.hidden_features": 64,
+    "planner.head_features": 64,
+    "planner.memory": "lstm",
     "planner.recurrent_features": 32,
+    "planner.shared_trunk": "false",
     "replay.capacity": 8_000,
-    "learner.batch": 8,
+    "replay.sequence_length": 10,
+    "learner.batch": 80,
     "learner.samples_per_insert": 4.0,
     "learner.publish_seconds": 1.0,
     "learner.checkpoint_seconds": 5.0,
@@ -134,6 +139,7 @@ class StormyRun:
 
     def settings(self) -> RunFile:
         """Return the run file as the learner has it."""
+        know_planners()
         return read_run_file(None, self.overrides)
 
     def services(self, links: dict[str, Link]) -> list[Service]:

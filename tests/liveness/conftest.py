@@ -15,7 +15,7 @@ STEADY = {
     "learner.publish_seconds": 0.1,
     # Not a small one: who publishes it to a paused router is soon in the middle of sending.
     "planner.hidden_features": 256,
-    "planner.recurrent_features": 128,
+    "planner.head_features": 256,
     "learner.checkpoint_seconds": 10.0,
     "learner.checkpoints_kept": 1000,
     "evaluator.seconds_between": 0.0,

@@ -132,7 +132,7 @@ FORBIDDEN_PUTS = [
     ("actor", KEYS.policy),
     ("actor", KEYS.state),
     ("actor", KEYS.run_file),
-    ("actor", KEYS.evaluation("evaluator", "policy")),
+    ("actor", KEYS.evaluation("evaluator", "policy", "town03")),
     ("actor", KEYS.metrics("learner", "learner")),
     ("actor", KEYS.live("evaluator", "evaluator")),
     ("actor", f"athrl/{RUN}/anything"),
@@ -141,7 +141,7 @@ FORBIDDEN_PUTS = [
     ("evaluator", KEYS.metrics("actor", "rig")),
     ("viewer", KEYS.policy),
     ("viewer", KEYS.metrics("viewer", "viewer")),
-    ("viewer", KEYS.evaluation("evaluator", "policy")),
+    ("viewer", KEYS.evaluation("evaluator", "policy", "town03")),
 ]
 # Whose certificate, what it would like to hear.
 FORBIDDEN_SUBSCRIPTIONS = [
@@ -192,7 +192,7 @@ def test_what_a_role_may_not_read_does_not_come(
             KEYS.policy,
             KEYS.experience("rig"),
             KEYS.metrics("actor", "rig"),
-            KEYS.evaluation("evaluator", "policy"),
+            KEYS.evaluation("evaluator", "policy", "town03"),
             KEYS.live("actor", "rig"),
             KEYS.state,
         ):

@@ -46,6 +46,9 @@ SETTINGS = {
     "exploration.random_decisions": 50,
     "replay.sequence_length": TIME,
     "replay.burn_in": 1,
+    "planner.memory": "lstm",
+    "planner.recurrent_features": 8,
+    "planner.shared_trunk": "false",
     "learner.samples_per_insert": 1.0,
 }
 
@@ -169,7 +172,7 @@ def hostile_messages() -> dict[str, bytes]:
         "size of a disguised bomb": changed(disguised_bomb),
         "value": changed(not_a_number),
         "value beyond": changed(far_out),
-        "size of the message": bytes(2**20),
+        "size of the message": bytes(2**22),
     }
 
 

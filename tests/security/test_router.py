@@ -116,7 +116,7 @@ FORBIDDEN = [
     ("actor", KEYS.policy),
     ("actor", KEYS.state),
     ("actor", KEYS.metrics("evaluator", "evaluator")),
-    ("actor", KEYS.evaluation("evaluator", "policy")),
+    ("actor", KEYS.evaluation("evaluator", "policy", "town03")),
     ("evaluator", KEYS.state),
     ("evaluator", KEYS.metrics("actor", "rig")),
     ("viewer", KEYS.metrics("actor", "rig")),
