@@ -11,8 +11,9 @@ from athrl_spaces import Limits, Observation, PolicyDescription
 from torch import Tensor, nn
 
 from athrl_planners.captured import CapturedUpdate
+from athrl_planners.crew import Crew
 from athrl_planners.diverged import TrainingDiverged
-from athrl_planners.losses import actor_loss, critic_loss
+from athrl_planners.losses import CriticLoss, actor_losses, critic_loss
 from athrl_planners.planner import Planner
 from athrl_planners.policy import PolicyNetwork, PolicyOutput
 from athrl_planners.precision import autocast
@@ -21,6 +22,8 @@ from athrl_planners.settings import PlannerSettings
 from athrl_planners.training_batch import BatchPreparation, TrainingBatch
 from athrl_planners.training_state import TrainingState
 from athrl_planners.updates.adam import Adam
+
+Gradients = tuple[Tensor, ...]
 
 
 class Agent:
@@ -35,6 +38,7 @@ class Agent:
         device: where it trains.
         burn_in: first decisions of a sequence that only warm the recurrent states.
         precision: of the networks' sums in updates; what is published is float32 either way.
+        threads: that compute parts of an update side by side; with a memory, or on a GPU, one does.
 
     Attributes:
         state: all that training changes.
@@ -54,10 +58,15 @@ class Agent:
         *,
         burn_in: int = 0,
         precision: torch.dtype = torch.float32,
+        threads: int = 1,
     ) -> None:
         self.settings, self.precision = settings, precision
         self.device = torch.device(device)
-        self.state = state = TrainingState(planner, settings, observation, limits, seed, self.device)
+        side_by_side = settings.memory == "none" and self.device.type == "cpu"
+        self._crew = Crew(threads if side_by_side else 1)
+        self.state = state = TrainingState(
+            planner, settings, observation, limits, seed, self.device, self._crew.threads
+        )
         trunk_state = {level.name: state.trunk_state_size(level.name) for level in state.levels}
         self.description = PolicyDescription(
             planner=planner.kind,
@@ -140,23 +149,41 @@ class Agent:
         self, data: TrainingBatch, rate: float | Tensor, with_actors: bool
     ) -> tuple[dict[str, Tensor], Tensor]:
         """An update without its counter; on a GPU it waits for nothing, so that it can be recorded."""
-        state = self.state
-        with autocast(self.device, self.precision):
-            critics = critic_loss(state, data)
-        self._require_finite(critics.loss)
-        critics.loss.backward()
-        metrics = critics.metrics
-        metrics["critic_gradient"] = self._step(state.critic_optimiser, state.critic_parameters, rate)
+        state, parts = self.state, data.split(self._crew.threads)
+        critics = self._crew.each(self._critic_gradients, parts)
+        metrics = _summed([part.metrics for part, _ in critics])
+        metrics["critic_gradient"] = self._step(
+            state.critic_optimiser, state.critic_parameters, [gradients for _, gradients in critics], rate
+        )
         if with_actors:
-            with autocast(self.device, self.precision):
-                loss, more = actor_loss(state, data, critics.contexts)
-            gradients = torch.autograd.grad(loss, state.actor_parameters)
-            for parameter, gradient in zip(state.actor_parameters, gradients, strict=True):
-                parameter.grad = gradient
-            metrics |= more
-            metrics["actor_gradient"] = self._step(state.actor_optimiser, state.actor_parameters, rate)
+            contexts = [part.contexts for part, _ in critics]
+            actors = self._crew.each(self._actor_gradients, list(zip(parts, contexts, strict=True)))
+            metrics |= _summed([more for more, _ in actors])
+            metrics["actor_gradient"] = self._step(
+                state.actor_optimiser, state.actor_parameters, [gradients for _, gradients in actors], rate
+            )
         state.follow()
-        return metrics, critics.errors
+        return metrics, torch.cat([part.errors for part, _ in critics])
+
+    def _critic_gradients(self, number: int, data: TrainingBatch) -> tuple[CriticLoss, Gradients]:
+        """The critics' loss on one part of a batch, and its gradients for all critics' parameters."""
+        self.state.noise.use(number)
+        with autocast(self.device, self.precision):
+            critics = critic_loss(self.state, data)
+        self._require_finite(critics.loss)
+        return critics, torch.autograd.grad(critics.loss, self.state.critic_parameters)
+
+    def _actor_gradients(
+        self, number: int, part: tuple[TrainingBatch, dict[str, Tensor]]
+    ) -> tuple[dict[str, Tensor], Gradients]:
+        """Metrics of the actors on one part of a batch, and the gradients of each one's own loss."""
+        with autocast(self.device, self.precision):
+            losses, metrics = actor_losses(self.state, *part)
+        gradients: list[Tensor] = []
+        for level in self.state.levels:
+            if level.name in losses:
+                gradients += torch.autograd.grad(losses[level.name], level.actor_parameters)
+        return metrics, tuple(gradients)
 
     def _actors_are_due(self, update: int) -> bool:
         delay = max(level.rule.actor_delay for level in self.state.levels)
@@ -167,10 +194,17 @@ class Agent:
         if self.device.type != "cuda":
             return None
         parameters = [*self.state.critic_parameters, *self.state.actor_parameters]
-        return CapturedUpdate(self._compute, parameters, self.state.random, self.device)
+        return CapturedUpdate(self._compute, parameters, self.state.noise.generators[0], self.device)
 
-    def _step(self, optimiser: Adam, parameters: list[Tensor], rate: float | Tensor) -> Tensor:
-        """Apply gradients, clipped; returns their norm before that."""
+    def _step(
+        self, optimiser: Adam, parameters: list[Tensor], parts: list[Gradients], rate: float | Tensor
+    ) -> Tensor:
+        """Apply the sum of the parts' gradients, clipped; returns its norm before that."""
+        total = list(parts[0])
+        for gradients in parts[1:]:
+            torch._foreach_add_(total, list(gradients))
+        for parameter, gradient in zip(parameters, total, strict=True):
+            parameter.grad = gradient
         norm = nn.utils.clip_grad_norm_(parameters, self.settings.gradient_norm)
         optimiser.step(rate)
         return norm.detach()
@@ -191,3 +225,10 @@ class Agent:
         """See `TrainingState.load_state_dict`."""
         self.state.load_state_dict(state)
         self._captured = self._capture()  # what was recorded before has other optimisers' memory in it
+
+
+def _summed(parts: list[dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Metrics of a batch out of those of its parts, each a sum over decisions by their weights."""
+    if len(parts) == 1:
+        return parts[0]
+    return {name: torch.stack([part[name] for part in parts]).sum() for name in parts[0]}

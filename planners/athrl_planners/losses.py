@@ -1,4 +1,4 @@
-"""What an update minimises: the critics' loss and the actors' loss of all levels of a planner.
+"""What an update minimises: the critics' loss and the actors' losses of a planner's levels.
 
 For levels from the highest down, with s what a level's trunk makes of what is seen, `above` what the levels
 above have decided, and Q', pi' the target networks:
@@ -11,8 +11,7 @@ above have decided, and Q', pi' the target networks:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -21,7 +20,6 @@ from torch import Tensor
 from athrl_planners.level import Level
 from athrl_planners.training_batch import TrainingBatch
 from athrl_planners.training_state import TrainingState
-from athrl_planners.updates import LevelNetworks
 
 Contexts = Mapping[str, Tensor]
 """By the trunk's name: [n, context], or [horizons, n, context]."""
@@ -71,11 +69,14 @@ def critic_loss(state: TrainingState, data: TrainingBatch) -> CriticLoss:
     return CriticLoss(loss, detached, errors, metrics)
 
 
-def actor_loss(
+def actor_losses(
     state: TrainingState, data: TrainingBatch, contexts: Contexts
-) -> tuple[Tensor, dict[str, Tensor]]:
-    """The loss of all actors, for contexts without gradient; and metrics, float32 [] each."""
-    loss: Tensor = torch.zeros((), device=data.rows.device)
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """The loss of each level's actor, of which that actor alone is to learn; and metrics; float32 [] each.
+
+    `contexts` have no gradient.
+    """
+    losses: dict[str, Tensor] = {}
     metrics: dict[str, Tensor] = {}
     above: list[Tensor] = []
     for number, level in enumerate(state.levels):
@@ -87,15 +88,14 @@ def actor_loss(
                 below = state.levels[number + 1]
                 below_context = contexts[state.trunk_of(below.name)]
                 seen = joined([*above, objective.action], context)
-                with _constant(below.online):  # it climbs its own value alone
-                    joint = below.rule.objective(below.online, below_context, seen, penalised=False).gain
+                joint = below.rule.objective(below.online, below_context, seen, penalised=False).gain
                 gain = gain + level.plan.gradient_from_below * joint
-            level_loss = -(gain @ part.weights)
-            loss = loss + level_loss
-            metrics[f"{level.name}/actor_loss"] = level_loss.detach()
-            metrics[f"{level.name}/saturated"] = (objective.raw.detach().abs() > 2).float().mean()
+            losses[level.name] = -(gain @ part.weights)
+            metrics[f"{level.name}/actor_loss"] = losses[level.name].detach()
+            saturated = (objective.raw.detach().abs() > 2).float().mean(dim=1)
+            metrics[f"{level.name}/saturated"] = saturated @ part.weights
         above.append(part.taken)
-    return loss, metrics
+    return losses, metrics
 
 
 @torch.no_grad()
@@ -149,16 +149,6 @@ class _Following:
         output, bonus = self._outputs[level.name]
         reward = part.reward if bonus is None else part.reward + part.discount * bonus
         return self._state.values.target(reward, part.discount, output)
-
-
-@contextmanager
-def _constant(networks: LevelNetworks) -> Iterator[None]:
-    """What is computed within has no gradient for the networks' weights."""
-    networks.requires_grad_(False)
-    try:
-        yield
-    finally:
-        networks.requires_grad_(True)
 
 
 def joined(above: list[Tensor], context: Tensor) -> Tensor:

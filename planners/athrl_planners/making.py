@@ -23,6 +23,7 @@ def make_agent(
     device: str | torch.device = "cpu",
     burn_in: int = 0,
     precision: torch.dtype = torch.float32,
+    threads: int = 1,
 ) -> Agent:
     """A fresh agent of a kind of planner.
 
@@ -35,6 +36,7 @@ def make_agent(
         device: where it trains.
         burn_in: first decisions of a sequence that only warm the recurrent states.
         precision: of updates.
+        threads: that compute parts of an update side by side.
 
     Raises:
         UnknownPlanner: there is no such kind.
@@ -50,6 +52,7 @@ def make_agent(
         device,
         burn_in=burn_in,
         precision=precision,
+        threads=threads,
     )
 
 

@@ -32,6 +32,7 @@ class LevelPlan:
         view: what it sees.
         gradient_from_below: weight of the next level's value in this level's actor's objective (paper,
             "Hierarchical Off-Policy Actor-Critic").
+        head_features: width of the hidden layers of its actor and critics; 0: what the settings say.
     """
 
     name: str
@@ -40,6 +41,7 @@ class LevelPlan:
     every: int = 1
     view: View = "everything"
     gradient_from_below: float = 0.0
+    head_features: int = 0
 
     def __post_init__(self) -> None:
         if not self.actions:

@@ -30,7 +30,8 @@ def autocast(device: torch.device, precision: torch.dtype) -> AbstractContextMan
     """Within it matrix products and convolutions are in `precision`; nothing else changes."""
     if precision == torch.float32:
         return contextlib.nullcontext()
-    return torch.autocast(device.type, precision)
+    # No cache: weights that are cast where no gradient is wanted would be taken where one is.
+    return torch.autocast(device.type, precision, cache_enabled=False)
 
 
 def faster_precision(device: torch.device) -> Measured:

@@ -44,6 +44,18 @@ class LevelData:
     held: Tensor | None
     in_force: Tensor | None
 
+    def part(self, place: slice) -> LevelData:
+        """Some of the decisions, with their weights as they are."""
+        return LevelData(
+            self.taken[place],
+            self.reward[place],
+            self.discount[place],
+            self.weights[place],
+            self.horizon,
+            None if self.held is None else self.held[:, place],
+            None if self.in_force is None else self.in_force[:, place],
+        )
+
 
 class TransitionFrames:
     """Observations of single decisions, and of what followed; there is nothing to remember."""
@@ -131,6 +143,20 @@ class TrainingBatch:
     levels: dict[str, LevelData]
     rows: Tensor
     pieces: int
+
+    def split(self, parts: int) -> list[TrainingBatch]:
+        """As many parts of about equal size, whose losses add up to the whole's; sequences stay together."""
+        if parts == 1 or not isinstance(self.frames, TransitionFrames):
+            return [self]
+        places = [slice(each[0], each[-1] + 1) for each in np.array_split(np.arange(self.pieces), parts)]
+        return [self._part(place) for place in places]
+
+    def _part(self, place: slice) -> TrainingBatch:
+        assert isinstance(self.frames, TransitionFrames)
+        frames = TransitionFrames(self.frames.images[:, place], self.frames.motion[:, place])
+        levels = {name: level.part(place) for name, level in self.levels.items()}
+        pieces = place.stop - place.start
+        return TrainingBatch(frames, {}, levels, self.rows[:pieces], pieces)
 
 
 class BatchPreparation:

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from athrl_planners.level import Level, follow
 from athrl_planners.networks import Trunk
+from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan, Planner
 from athrl_planners.replay.random_state import restore_random, to_words
 from athrl_planners.settings import PlannerSettings
@@ -31,7 +32,7 @@ class TrainingState:
         updates: so far.
         levels: highest first.
         values: what critics predict.
-        random: draws the noise in updates.
+        noise: is drawn from it in updates.
         mirroring: draws which transitions are mirrored.
     """
 
@@ -43,10 +44,11 @@ class TrainingState:
         limits: Limits,
         seed: int,
         device: torch.device,
+        parts: int = 1,
     ) -> None:
-        """Fresh networks; equal seeds give equal ones."""
+        """Fresh networks; equal seeds give equal ones. An update is computed in so many parts at once."""
         self.kind, self.settings, self.updates = planner.kind, settings, 0
-        self.random = torch.Generator(device).manual_seed(seed)
+        self.noise = NoiseSource(seed, device, parts)
         self.mirroring = np.random.Generator(np.random.PCG64(seed))
         self.values: Values = make_values(settings).to(device)
         with torch.random.fork_rng(devices=[]):
@@ -90,7 +92,7 @@ class TrainingState:
         above = 0
         for plan in plans:
             sizes = (self.trunk(plan.name).context_size, above)
-            rule = make_rule(plan.update_rule)(plan, self.settings, self.values, sizes, self.random)
+            rule = make_rule(plan.update_rule)(plan, self.settings, self.values, sizes, self.noise)
             levels.append(Level(plan, rule))
             above += rule.encoded_size
         return tuple(levels)
@@ -142,7 +144,7 @@ class TrainingState:
         return {
             "kind": self.kind,
             "updates": self.updates,
-            "random": self.random.get_state(),
+            "noise": self.noise.state(),
             "mirroring": to_words(self.mirroring),
             "networks": self.networks.state_dict(),
             "critic_optimiser": self.critic_optimiser.state_dict(),
@@ -171,11 +173,7 @@ class TrainingState:
         self.networks.load_state_dict(state["networks"])
         self.updates = int(state["updates"])
         restore_random(self.mirroring, state["mirroring"])
-        random = state["random"].cpu()
-        if random.shape == self.random.get_state().shape:
-            self.random.set_state(random)
-        else:  # of another kind of device, whose generator no other one can continue
-            self.random.manual_seed(self.random.initial_seed() + self.updates)
+        self.noise.load_state(state["noise"], self.updates)
 
 
 def _trunks(modules: nn.ModuleDict) -> Iterator[tuple[str, Trunk]]:

@@ -224,7 +224,7 @@ def test_held_decision_stays_as_long_as_it_should(publish: Callable[[str], Publi
     random = np.random.default_rng(1)
     states, decided = initial_states(agent, 4), []
     for _ in range(9):
-        noise = {"intention": random.normal(0, 0.5, (4, 1)).astype(np.float32)}
+        noise = {"intention": random.uniform(-1.5, -0.1, (4, 1)).astype(np.float32)}
         output = agent.act(*observe(agent, 4, random), states, noise)
         states = {**states, **output.states}
         decided.append(output.actions["intention"])

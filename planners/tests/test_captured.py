@@ -23,7 +23,8 @@ PLANNERS = [
 def out_of_buffers(agent: Agent) -> CapturedUpdate:
     """Let an agent on a CPU update as one on a GPU does."""
     parameters = [*agent.state.critic_parameters, *agent.state.actor_parameters]
-    agent._captured = CapturedUpdate(agent._compute, parameters, agent.state.random, agent.device)
+    generator = agent.state.noise.generators[0]
+    agent._captured = CapturedUpdate(agent._compute, parameters, generator, agent.device)
     return agent._captured
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from athrl_planners import LevelPlan
+from athrl_planners.noise import NoiseSource
 from athrl_planners.settings import ActorCriticSettings, QLearningSettings
 from athrl_planners.updates import LevelNetworks, UpdateRule, make_rule, make_values
 from athrl_spaces import Continuous, Discrete
@@ -37,14 +38,15 @@ class Says(nn.Module):
 def numbers(update_rule: Any, **changes: Any) -> UpdateRule:
     settings = ActorCriticSettings(update_rule=update_rule, critic="scalar", **changes)
     plan = LevelPlan("trajectory", (SPEED, ANGLE), update_rule)
-    random = torch.Generator().manual_seed(1)
-    return make_rule(update_rule)(plan, settings, make_values(settings), (1, 0), random)
+    noise = NoiseSource(1, torch.device("cpu"))
+    return make_rule(update_rule)(plan, settings, make_values(settings), (1, 0), noise)
 
 
 def choices(**changes: Any) -> UpdateRule:
     settings = QLearningSettings(critic="scalar", **changes)
     plan = LevelPlan("behaviour", (CHOICE,), "dqn")
-    return make_rule("dqn")(plan, settings, make_values(settings), (4, 0), torch.Generator())
+    noise = NoiseSource(1, torch.device("cpu"))
+    return make_rule("dqn")(plan, settings, make_values(settings), (4, 0), noise)
 
 
 def q(*values: float) -> Says:
@@ -223,11 +225,11 @@ def test_sac_decides_its_mean_unless_it_is_given_noise() -> None:
 
 def test_rules_for_numbers_and_for_choices_refuse_each_others_levels() -> None:
     settings = ActorCriticSettings()
-    values, random = make_values(settings), torch.Generator()
+    values, noise = make_values(settings), NoiseSource(1, torch.device("cpu"))
     plan = LevelPlan("behaviour", (CHOICE,), "td3")
     with pytest.raises(ValueError, match="level behaviour learns by td3 and decides a choice: use dqn"):
-        make_rule("td3")(plan, settings, values, (4, 0), random)
+        make_rule("td3")(plan, settings, values, (4, 0), noise)
     for actions in ((SPEED,), (CHOICE, CHOICE)):
         plan = LevelPlan("mixed", actions, "dqn")
         with pytest.raises(ValueError, match="level mixed learns by dqn: it should decide one choice"):
-            make_rule("dqn")(plan, QLearningSettings(), values, (4, 0), random)
+            make_rule("dqn")(plan, QLearningSettings(), values, (4, 0), noise)

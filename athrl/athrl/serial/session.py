@@ -17,6 +17,7 @@ from athrl_learner import CannotResume
 from athrl_learner.checkpoint import CheckpointContent
 from athrl_learner.device import log_device
 from athrl_learner.going_on import checkpoint_to_go_on_from
+from athrl_learner.memory import keep_freed_memory
 from athrl_learner.parts import make_parts
 from athrl_learner.run import short_collections
 from athrl_learner.run_folder import RunFolder
@@ -153,7 +154,7 @@ def _make_torch_deterministic(settings: RunFile) -> None:
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.use_deterministic_algorithms(True)
     # By itself one thread: with another number sums come out otherwise, and the machine shall not matter.
-    torch.set_num_threads(settings.learner.threads or 1)
+    keep_freed_memory()
 
 
 @contextmanager

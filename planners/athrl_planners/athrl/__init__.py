@@ -34,6 +34,12 @@ class AtHRLSettings(ActorCriticSettings):
         le=100,
         description="Weight of the trajectory critic's gradient through the intention.",
     )
+    intention_features: int = Field(
+        default=64,
+        ge=8,
+        le=2048,
+        description="Width of the hidden layers of the intention planner's actor and critics.",
+    )
     intention_noise: float = Field(
         default=0.2, ge=0, le=2, description="Deviation of the noise on the intention, half-ranges."
     )
@@ -78,6 +84,7 @@ class AtHRL(Planner):
                 every=settings.intention_every,
                 view=settings.intention_view,
                 gradient_from_below=settings.intention_gradient,
+                head_features=settings.intention_features,
             ),
             LevelPlan("trajectory", trajectory, settings.update_rule, view=settings.trajectory_view),
         )

@@ -16,6 +16,7 @@ from athrl_spaces import Continuous
 from torch import Tensor, nn
 
 from athrl_planners.networks.heads import Actor, Critic
+from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
 from athrl_planners.updates.rule import LevelNetworks, Objective, Step, UpdateRule, centre_and_half_range
 from athrl_planners.updates.values import Values
@@ -36,9 +37,9 @@ class ContinuousRule(UpdateRule):
         settings: Any,
         values: Values,
         sizes: tuple[int, int],
-        random: torch.Generator,
+        noise: NoiseSource,
     ) -> None:
-        super().__init__(plan, settings, values, sizes, random)
+        super().__init__(plan, settings, values, sizes, noise)
         if not all(isinstance(action, Continuous) for action in plan.actions):
             raise ValueError(f"level {plan.name} learns by {plan.update_rule} and decides a choice: use dqn")
         self.encoded_size = len(plan.actions)
@@ -50,7 +51,7 @@ class ContinuousRule(UpdateRule):
 
     def make_networks(self) -> LevelNetworks:
         """An actor and critics."""
-        inputs, hidden = self.context_size + self.above_size, self.settings.head_features
+        inputs, hidden = self.context_size + self.above_size, self.head_features
         actor = Actor(inputs, hidden, self.encoded_size, self.stochastic)
         return LevelNetworks(
             actor,
@@ -82,9 +83,9 @@ class DeterministicRule(ContinuousRule):
         settings: Any,
         values: Values,
         sizes: tuple[int, int],
-        random: torch.Generator,
+        noise: NoiseSource,
     ) -> None:
-        super().__init__(plan, settings, values, sizes, random)
+        super().__init__(plan, settings, values, sizes, noise)
         smoothed = plan.update_rule == "td3"
         self.actor_delay = settings.td3_actor_delay if smoothed else 1
         self._target_noise = settings.td3_target_noise if smoothed else 0.0
@@ -104,7 +105,7 @@ class DeterministicRule(ContinuousRule):
         context = contexts[0]
         action = torch.tanh(target.actor(context, above).float())
         if self._target_noise:
-            noise = self.normal_like(action).clamp(-NOISE_CLIP, NOISE_CLIP) * self._target_noise
+            noise = self.noise.normal_like(action).clamp(-NOISE_CLIP, NOISE_CLIP) * self._target_noise
             action = (action + noise).clamp(-1, 1)
         return Step(action, self.counts(target, context, above, action), None)
 

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from athrl_planners.networks.heads import ChoiceCritic
+from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
 from athrl_planners.updates.rule import LevelNetworks, Step, UpdateRule
 from athrl_planners.updates.values import Values
@@ -29,9 +30,9 @@ class QLearningRule(UpdateRule):
         settings: Any,
         values: Values,
         sizes: tuple[int, int],
-        random: torch.Generator,
+        noise: NoiseSource,
     ) -> None:
-        super().__init__(plan, settings, values, sizes, random)
+        super().__init__(plan, settings, values, sizes, noise)
         if len(plan.actions) != 1 or not isinstance(plan.actions[0], Discrete):
             raise ValueError(f"level {plan.name} learns by dqn: it should decide one choice and nothing else")
         self.encoded_size = len(plan.actions[0].choices)
@@ -43,7 +44,7 @@ class QLearningRule(UpdateRule):
             None,
             [
                 ChoiceCritic(
-                    inputs, settings.head_features, self.encoded_size, self.values.outputs, settings.dueling
+                    inputs, self.head_features, self.encoded_size, self.values.outputs, settings.dueling
                 )
                 for _ in range(settings.critics)
             ],

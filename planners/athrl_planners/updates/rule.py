@@ -13,6 +13,7 @@ import torch
 from athrl_spaces import Action
 from torch import Tensor, nn
 
+from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
 from athrl_planners.updates.values import Values
 
@@ -70,17 +71,18 @@ class UpdateRule(ABC, nn.Module):
         settings: Any,
         values: Values,
         sizes: tuple[int, int],
-        random: torch.Generator,
+        noise: NoiseSource,
     ) -> None:
-        """`sizes` are columns of the context and of what is decided above; `random` draws all noise."""
+        """`sizes` are columns of the context and of what is decided above; `noise` is for updates."""
         super().__init__()
         self.plan, self.settings, self.values = plan, settings, values
         self.context_size, self.above_size = sizes
-        self.random = random
+        self.noise = noise
 
-    def normal_like(self, tensor: Tensor) -> Tensor:
-        """Standard normal numbers of a tensor's shape."""
-        return torch.randn(tensor.shape, generator=self.random, device=tensor.device)
+    @property
+    def head_features(self) -> int:
+        """Width of the hidden layers of the level's actor and critics."""
+        return self.plan.head_features or int(self.settings.head_features)
 
     @abstractmethod
     def make_networks(self) -> LevelNetworks:

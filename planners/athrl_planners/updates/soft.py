@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
 from athrl_planners.updates.deterministic import ContinuousRule
 from athrl_planners.updates.rule import LevelNetworks, Objective, Step
@@ -35,9 +36,9 @@ class SoftRule(ContinuousRule):
         settings: Any,
         values: Values,
         sizes: tuple[int, int],
-        random: torch.Generator,
+        noise: NoiseSource,
     ) -> None:
-        super().__init__(plan, settings, values, sizes, random)
+        super().__init__(plan, settings, values, sizes, noise)
         self.log_temperature = nn.Parameter(torch.tensor(math.log(settings.sac_temperature)))
         self._wanted_entropy = settings.sac_target_entropy * self.encoded_size
 
@@ -73,7 +74,7 @@ class SoftRule(ContinuousRule):
     def _sample(self, output: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """A random action [n, actions], the logarithm of its density [n], and the mean before the tanh."""
         mean, deviation = _distribution(output)
-        noise = self.normal_like(mean)
+        noise = self.noise.normal_like(mean)
         raw = mean + deviation * noise
         log_density = -0.5 * noise.square() - deviation.log() - 0.5 * math.log(2 * math.pi)
         # log(1 - tanh(x)^2), which is exact where tanh is 1

@@ -6,6 +6,7 @@ import logging
 import os
 
 import torch
+from athrl_planners import Agent
 from athrl_planners.precision import faster_precision
 from athrl_protocol import RunFile
 
@@ -32,8 +33,17 @@ def training_device(run_file: RunFile) -> str:
 
 
 def training_threads(run_file: RunFile) -> int:
-    """The threads that train: as many as the run file says, or one for each core of this process."""
-    return run_file.learner.threads or len(os.sched_getaffinity(0))
+    """The threads that train: as many as the run file says, or one for each core of this process.
+
+    A serial run has one unless it is told otherwise: it is to be the same on every machine.
+    """
+    fitting = 1 if run_file.serial.enabled else len(os.sched_getaffinity(0))
+    return run_file.learner.threads or fitting
+
+
+def share_threads(run_file: RunFile, agent: Agent) -> None:
+    """Have the threads compute parts of an update side by side, or where sequences stay whole within it."""
+    torch.set_num_threads(training_threads(run_file) if agent.has_memory else 1)
 
 
 def update_precision(run_file: RunFile) -> torch.dtype:
@@ -41,7 +51,7 @@ def update_precision(run_file: RunFile) -> torch.dtype:
 
     A serial run looks at no clock, so `auto` is float32 there.
     """
-    wanted, threads = run_file.learner.precision, f"with {_counted(torch.get_num_threads(), 'thread')}"
+    wanted, threads = run_file.learner.precision, f"with {_counted(training_threads(run_file), 'thread')}"
     if wanted != "auto":
         log.info("updates in %s, as learner.precision says, %s", wanted, threads)
         return torch.bfloat16 if wanted == "bfloat16" else torch.float32

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
 from athrl_protocol import (
     PolicyPublisher,
     RunFile,
@@ -26,10 +25,11 @@ from athrl_protocol.certificates import find_certificates
 from athrl_protocol.limits import largest_chunk_of
 
 from athrl_learner.connections import NAME, connect
-from athrl_learner.device import log_device, training_device, training_threads
+from athrl_learner.device import log_device, training_device
 from athrl_learner.errors import CannotResume
 from athrl_learner.going_on import checkpoint_to_go_on_from
 from athrl_learner.learner import Learner
+from athrl_learner.memory import keep_freed_memory
 from athrl_learner.parts import make_parts
 from athrl_learner.planner_tables import held_to_planners, know_planners
 from athrl_learner.publication import recorded_version
@@ -95,7 +95,7 @@ def run_learner(
         complete_address(read_run_file(resume / "run.toml", complete=True).network.listen)
     address = complete_address(run_file.network.listen, secure=shown is not None)
     training_device(run_file)  # refused here: nothing has been written
-    torch.set_num_threads(training_threads(run_file))
+    keep_freed_memory()
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path))
         content = checkpoint_to_go_on_from(folder, resuming=resume is not None)

@@ -12,7 +12,7 @@ from athrl_planners.making import make_replay as make_planner_replay
 from athrl_protocol import RunFile
 from athrl_spaces import Limits, Observation
 
-from athrl_learner.device import training_device, update_precision
+from athrl_learner.device import share_threads, training_device, training_threads, update_precision
 from athrl_learner.experience import ChunkReader
 from athrl_learner.limiter import SamplesPerInsert
 from athrl_learner.segments import SegmentLog
@@ -39,7 +39,7 @@ def limits(run_file: RunFile) -> Limits:
 
 def make_agent(run_file: RunFile) -> Agent:
     """A fresh planner as the run file describes it; the log says in what precision it computes, and why."""
-    return make_planner_agent(
+    agent = make_planner_agent(
         run_file.planner.kind,
         run_file.planner.values(),
         observation=observation(run_file),
@@ -48,7 +48,10 @@ def make_agent(run_file: RunFile) -> Agent:
         device=training_device(run_file),
         burn_in=run_file.replay.burn_in,
         precision=update_precision(run_file),
+        threads=training_threads(run_file),
     )
+    share_threads(run_file, agent)
+    return agent
 
 
 def make_replay(run_file: RunFile, agent: Agent) -> SequenceReplay:

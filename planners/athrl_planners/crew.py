@@ -1,0 +1,42 @@
+"""Threads that compute the parts of an update side by side.
+
+Each computes whole layers on its share of the batch, and they wait for each other twice an update. Threads
+inside of each operation wait some hundred times, and whenever an actor or the evaluator needs a core for a
+moment, all of them do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+
+
+class Crew:
+    """The calling thread and `threads` - 1 others."""
+
+    def __init__(self, threads: int) -> None:
+        self.threads = threads
+        self._others = ThreadPoolExecutor(threads - 1, "update") if threads > 1 else None
+
+    def each(self, compute: Callable[[int, Part], Result], parts: Sequence[Part]) -> list[Result]:
+        """Call `compute` with the number of each part and the part, all at once; the results in their order.
+
+        Raises what a call raises, when all have returned.
+        """
+        if self._others is None or len(parts) == 1:
+            return [compute(number, part) for number, part in enumerate(parts)]
+        waiting = [
+            self._others.submit(compute, number, part) for number, part in enumerate(parts) if number > 0
+        ]
+        try:
+            first = compute(0, parts[0])
+        finally:
+            failures = [future.exception() for future in waiting]
+        for failure in failures:
+            if failure is not None:
+                raise failure
+        return [first, *(future.result() for future in waiting)]
