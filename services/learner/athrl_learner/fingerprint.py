@@ -13,8 +13,6 @@ from athrl_planners import Agent, SequenceReplay
 #: Hexadecimal digits that are shown of a SHA-256.
 DIGITS = 16
 
-_OPTIMISERS = ("critic_optimiser", "actor_optimiser", "random", "mirroring")
-
 
 def fingerprint(state: Any) -> str:
     """The first digits of a SHA-256 over nested dictionaries, lists, arrays, tensors and plain values.
@@ -35,9 +33,8 @@ def parameters(agent: Agent) -> str:
 
 
 def optimisers(agent: Agent) -> str:
-    """Fingerprint of the optimisers' states and of the planner's generators."""
-    state = agent.state_dict()
-    return fingerprint([state[name] for name in _OPTIMISERS])
+    """Fingerprint of what the planner's state has beside weights: optimisers, generators, counts."""
+    return fingerprint({name: part for name, part in agent.state_dict().items() if name != "networks"})
 
 
 def replay_content(replay: SequenceReplay) -> str:
