@@ -39,6 +39,6 @@ COPY services/evaluator services/evaluator
 COPY athrl athrl
 RUN deploy/install.sh rooms spaces protocol driving services/evaluator athrl
 USER athrl
-# The traffic's kernels are compiled here, not at every start; a processor of another kind compiles them anew.
+# The traffic's kernels are compiled here, not at every start; a processor of another kind compiles them again.
 COPY deploy/warm_up.py deploy/
 RUN python deploy/warm_up.py

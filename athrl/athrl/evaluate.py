@@ -153,7 +153,7 @@ def find_driver(policy: str) -> str | Path:
         from athrl_evaluator.shipped_policies import shipped_names, shipped_policy
     if policy in shipped_names():
         return shipped_policy(policy)
-    wrong = "is a folder" if path.is_dir() else "there is no such file"
+    wrong = "is a folder" if policy and path.is_dir() else "there is no such file"
     names = [*REFERENCE_DRIVERS, *shipped_names()]
     near = difflib.get_close_matches(policy, names, n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]}?" if near else ""

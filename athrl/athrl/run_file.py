@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 from athrl_protocol.run_file import read_run_file, to_toml
+from athrl_protocol.run_file.planner_tables import what_is_wrong_with_kind
 
 from athrl import runs
 from athrl.errors import CommandError
@@ -20,4 +21,10 @@ def run_file(
     """Print the default run file: every setting with its default, its meaning and its bounds."""
     with contextlib.suppress(CommandError):  # without the planners their settings are not known
         runs.know_planners()
-    print(to_toml(read_run_file(None, [] if planner is None else [f"planner.kind={planner}"])), end="")
+    if planner is None:
+        print(to_toml(read_run_file(None)), end="")
+        return
+    wrong = what_is_wrong_with_kind(planner)
+    if wrong is not None:
+        raise CommandError(f"--planner {planner}: {wrong}")
+    print(to_toml(read_run_file(None, [f"planner.kind={planner}"])), end="")

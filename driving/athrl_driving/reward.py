@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from athrl_spaces import REWARD_TERMS
 from numpy.typing import NDArray
 
 from athrl_driving.compilation import compiled
@@ -18,9 +19,6 @@ FAST_SPEED = 8.0
 
 LANE_TOLERANCE = 2.0
 """Lateral distance from the route at which the lane has been left, m."""
-
-REWARD_TERMS = ("collision", "speed", "fast", "out", "steer", "lateral", "constant")
-"""Names of the terms, in the order of the sum."""
 
 
 @compiled
@@ -38,7 +36,7 @@ def add_reward_terms(
     lateral_offset: float,
     steering: float,
 ) -> None:
-    """Add the weighted terms of one tick to `terms`, float64 [7]; see `tick_reward_terms`."""
+    """Add the weighted terms of one tick to `terms`, float64 [7] as `REWARD_TERMS` names them."""
     speed_along_route = speed * math.cos(heading_error)
     if collision:
         terms[0] -= 200.0

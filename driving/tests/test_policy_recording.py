@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from athrl_driving.policy import EnvironmentBatch, GuardedBatch
+from athrl_spaces import REWARD_TERMS
 
 CONFIG = {"vehicles_count": 10, "episode_ticks": 40}
 ROOM = 4
@@ -33,6 +34,37 @@ def test_recording_holds_what_was_seen_and_earned(batch: EnvironmentBatch):
         np.testing.assert_array_equal(batch.recording.images[row], images[:, row])
         np.testing.assert_array_equal(batch.recording.motion[row], motion[:, row])
         np.testing.assert_array_equal(batch.recording.rewards[row, 1:], rewards[:, row])
+
+
+def test_terms_on_the_tape_are_what_info_tells_and_sum_to_the_reward(batch: EnvironmentBatch):
+    random, told = np.random.default_rng(1), []
+    for _ in range(ROOM):
+        infos = batch.step(random.uniform(-1, 1, (len(batch), 2)).astype(np.float32)).infos
+        told.append(np.stack([infos["reward_terms"][term] for term in REWARD_TERMS], axis=-1))
+    terms = batch.recording.terms[:, 1:]
+    np.testing.assert_array_equal(terms, np.stack(told, axis=1).astype(np.float32))
+    np.testing.assert_allclose(terms.sum(axis=2), batch.recording.rewards[:, 1:], rtol=1e-5, atol=1e-5)
+    steering = [REWARD_TERMS.index("steer"), REWARD_TERMS.index("lateral")]
+    assert (terms[..., steering] < 0).any()
+    assert (terms[..., REWARD_TERMS.index("speed")] != 0).any()
+
+
+def test_recording_holds_what_another_held_whose_state_it_loads(batch: EnvironmentBatch):
+    drive(batch, 3)
+    batch.recording.rewind(0, 2)
+    state = batch.recording.state()
+    columns = ("images", "motion", "rewards", "terms")
+    held = {name: getattr(batch.recording, name).copy() for name in columns}
+    other = EnvironmentBatch(batch.towns, CONFIG, recorded=ROOM)
+    for row in range(len(other)):
+        other.reset(row, seed=50 + row)
+    drive(other, ROOM)
+    assert not np.array_equal(other.recording.terms, held["terms"])
+    other.recording.load_state(state)
+    drive(batch, 1)  # the state is a copy
+    for name, column in held.items():
+        np.testing.assert_array_equal(getattr(other.recording, name), column)
+    assert all(np.array_equal(one, state[name]) for name, one in other.recording.state().items())
 
 
 def test_what_is_taken_out_makes_room_and_the_next_begins_with_what_was_seen_last(batch: EnvironmentBatch):

@@ -7,6 +7,7 @@ import pytest
 from athrl_driving.envs import TownEnv
 from athrl_driving.episode.drive import drive
 from athrl_driving.policy import EnvironmentBatch, GuardedBatch, spread_towns
+from athrl_spaces import REWARD_TERMS
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -83,7 +84,8 @@ def test_towns_in_one_batch_do_what_each_does_alone(kind: type, action_kind: str
         TownEnv(config={**CONFIG, "town": town, "action": {"type": f"{action_type[action_kind]}Action"}})
         for town in MIXED
     ]
-    seen = []
+    seen: list[list[dict]] = []
+    earned: list[list[list[float]]] = [[] for _ in MIXED]
     for row, env in enumerate(alone):
         batch.reset(row, seed=40 + row)
         seen.append([env.reset(seed=40 + row)[0]])
@@ -102,6 +104,7 @@ def test_towns_in_one_batch_do_what_each_does_alone(kind: type, action_kind: str
             assert step.infos["distance"][row] == info["distance"]
             assert step.infos["reward_terms"]["speed"][row] == info["reward_terms"]["speed"]
             assert batch.info(row) == info
+            earned[row].append([info["reward_terms"][term] for term in REWARD_TERMS])
             assert batch.environments[row].town is alone[row].town
             if terminated or truncated:
                 assert step.infos["metrics"]["distance"][row] == info["metrics"]["distance"]
@@ -110,6 +113,8 @@ def test_towns_in_one_batch_do_what_each_does_alone(kind: type, action_kind: str
         for place, observation in enumerate(observations):
             np.testing.assert_array_equal(batch.recording.images[row, place], observation["image"])
             np.testing.assert_array_equal(batch.recording.motion[row, place], observation["motion"])
+        terms = batch.recording.terms[row, 1 : len(observations)]
+        np.testing.assert_array_equal(terms, np.array(earned[row], np.float32))
     batch.close()
 
 

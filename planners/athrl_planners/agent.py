@@ -177,6 +177,7 @@ class Agent:
         self, number: int, part: tuple[TrainingBatch, dict[str, Tensor]]
     ) -> tuple[dict[str, Tensor], Gradients]:
         """Metrics of the actors on one part of a batch, and the gradients of each one's own loss."""
+        self.state.noise.use(number)  # the thread may have computed another part of the critics
         with autocast(self.device, self.precision):
             losses, metrics = actor_losses(self.state, *part)
         gradients: list[Tensor] = []

@@ -41,7 +41,8 @@ class Level(nn.Module):
 
     def describe(self, trunk_state: int) -> LevelDescription:
         """The level as an artefact tells of it; `trunk_state` numbers of its state are its trunk's."""
-        return LevelDescription(self.name, self.plan.actions, trunk_state + self.held_size)
+        plan = self.plan
+        return LevelDescription(self.name, plan.actions, trunk_state + self.held_size, plan.rewarded)
 
 
 @torch.no_grad()

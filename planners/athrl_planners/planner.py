@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from athrl_spaces import Action, Epsilon, Limits, Noise, Sampled
+from athrl_spaces import Action, Epsilon, Limits, Noise, Sampled, refuse_wrong_terms
 from athrl_spaces.action_kinds import action_kind
 
 from athrl_planners.settings import PlannerSettings
@@ -33,6 +33,8 @@ class LevelPlan:
         gradient_from_below: weight of the next level's value in this level's actor's objective (paper,
             "Hierarchical Off-Policy Actor-Critic").
         head_features: width of the hidden layers of its actor and critics; 0: what the settings say.
+        rewarded: names of the terms of the reward that it is paid (`athrl_spaces.REWARD_TERMS`); empty: all
+            of them, the task's reward.
     """
 
     name: str
@@ -42,6 +44,7 @@ class LevelPlan:
     view: View = "everything"
     gradient_from_below: float = 0.0
     head_features: int = 0
+    rewarded: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.actions:
@@ -50,6 +53,7 @@ class LevelPlan:
             raise ValueError(f"level {self.name} decides every {self.every} decisions; should be 1 or more")
         if self.gradient_from_below and self.update_rule == "dqn":
             raise ValueError(f"level {self.name} learns by dqn: it has no actor that a gradient could climb")
+        refuse_wrong_terms(self.name, self.rewarded)
 
 
 class Planner:

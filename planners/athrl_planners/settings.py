@@ -75,7 +75,8 @@ class PlannerSettings(BaseModel):
         default=24.0, ge=-1e6, le=1e6, description="Highest value of that support, in scaled reward."
     )
     loss: Literal["squared", "huber"] = Field(
-        default="squared", description="Of a scalar critic's error; huber is the paper."
+        default="squared",
+        description="Of a scalar critic's error; squared is the paper, huber its authors' code.",
     )
 
     # learning
@@ -134,7 +135,8 @@ class ActorCriticSettings(PlannerSettings):
         default=0.02,
         ge=0,
         le=100,
-        description="Weight of the squared output before its tanh in the actors' loss; 0 is the paper.",
+        description="With ddpg and td3: weight of the squared output before its tanh in the actors' loss; "
+        "0 is the paper.",
     )
     td3_actor_delay: int = Field(
         default=2, ge=1, le=1000, description="With td3: critic updates for each actor update."
@@ -158,7 +160,8 @@ class ActorCriticSettings(PlannerSettings):
         default=0.05,
         ge=0,
         le=2,
-        description="Deviation of the exploration noise in an actor's first environment, half-ranges.",
+        description="With ddpg and td3: deviation of the exploration noise in an actor's first environment, "
+        "half-ranges.",
     )
     noise_high: float = Field(
         default=0.4,

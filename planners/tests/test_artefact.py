@@ -252,6 +252,17 @@ def test_metadata_is_the_agents_description(publish: Callable[[str], Published],
     assert PolicyDescription.from_json(metadata["athrl"]) == published.agent.description
 
 
+@pytest.mark.parametrize(
+    ("reward", "paid"), [("task", ()), ("progress", ("collision", "speed", "fast", "out", "constant"))]
+)
+def test_intention_is_paid_what_its_setting_says(new_agent: NewAgent, reward: str, paid: tuple[str]) -> None:
+    agent = new_agent("athrl", image_size=32, intention_reward=reward)
+    model = onnx.load_from_string(PolicyExporter(agent).artefact())
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    levels = PolicyDescription.from_json(metadata["athrl"]).levels
+    assert {level.name: level.rewarded for level in levels} == {"intention": paid, "trajectory": ()}
+
+
 def test_publishing_for_a_week_takes_no_more_memory(new_agent: NewAgent) -> None:
     exporter = PolicyExporter(new_agent(image_size=32, hidden_features=128))
     size = len(exporter.artefact())

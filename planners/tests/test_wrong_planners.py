@@ -230,6 +230,15 @@ def test_planner_that_does_not_decide_what_its_environment_needs_is_refused(
             {"update_rule": "dqn", "gradient_from_below": 1.0},
             "level one learns by dqn: it has no actor that a gradient could climb",
         ),
+        (
+            {"rewarded": ("speed", "haste")},
+            "level one is paid the term 'haste' of the reward; there are collision, speed, fast, out, steer, "
+            "lateral, constant",
+        ),
+        (
+            {"rewarded": ("speed", "out", "speed")},
+            "level one is paid the term 'speed' of the reward twice; once is enough",
+        ),
     ],
 )
 def test_level_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:

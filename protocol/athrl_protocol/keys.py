@@ -129,7 +129,7 @@ class Keys:
 
 EVERY_RUN_FILE = "athrl/*/run-file"
 NOBODYS_RUN_FILE = "athrl/-/run-file"
-"""No run has this name; whoever may ask for run files may ask for it."""
+"""No run has this name; all that may ask for run files may ask for it."""
 
 
 def run_of(key: str) -> str:

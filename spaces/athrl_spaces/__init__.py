@@ -2,7 +2,7 @@
 
 The ground floor: it imports no other room, and needs NumPy alone. `actions` has one number or choice that a
 planner decides and how it is explored, `action_kinds` what an environment takes, `observation` what is seen,
-`policy` what a policy says of itself.
+`reward_terms` what is earned, `policy` what a policy says of itself.
 """
 
 from athrl_spaces.action_kinds import (
@@ -17,12 +17,14 @@ from athrl_spaces.action_kinds import (
 from athrl_spaces.actions import Action, Continuous, Discrete, Epsilon, Noise, Sampled, ranks
 from athrl_spaces.observation import CHANNELS, MOTION, Observation
 from athrl_spaces.policy import SCHEMA_VERSION, InvalidDescription, LevelDescription, PolicyDescription
+from athrl_spaces.reward_terms import REWARD_TERMS, places_of_terms, refuse_wrong_terms
 
 __all__ = [
     "ACTION_KINDS",
     "CHANNELS",
     "DIRECT",
     "MOTION",
+    "REWARD_TERMS",
     "SCHEMA_VERSION",
     "WAYPOINT",
     "WAYPOINT_SET",
@@ -39,5 +41,7 @@ __all__ = [
     "PolicyDescription",
     "Sampled",
     "action_kind",
+    "places_of_terms",
     "ranks",
+    "refuse_wrong_terms",
 ]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from athrl_spaces.action_kinds import ActionKind, Limits, action_kind
 from athrl_spaces.actions import Action, Continuous, Discrete, Epsilon, Noise, Sampled
 from athrl_spaces.observation import Observation
+from athrl_spaces.reward_terms import refuse_wrong_terms
 
 SCHEMA_VERSION = 2
 
@@ -34,11 +35,17 @@ class LevelDescription:
         name: of the level.
         actions: what it decides.
         state_size: numbers in its recurrent state; 0 where it has no memory.
+        rewarded: names of the terms of the reward that it is paid (`REWARD_TERMS`); empty: all of them, the
+            task's reward.
     """
 
     name: str
     actions: tuple[Action, ...]
     state_size: int = 0
+    rewarded: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        refuse_wrong_terms(self.name, self.rewarded)
 
     @property
     def action_size(self) -> int:
@@ -225,7 +232,9 @@ def _level(entry: Any) -> LevelDescription:
     actions = tuple(_action(name, action) for action in _take(entry, "actions", list))
     if not actions:
         raise InvalidDescription(f"its metadata: level {name!r} decides nothing")
-    return LevelDescription(name, actions, size)
+    # A file without it is of a planner whose levels are all paid the task's reward.
+    rewarded = _texts(entry, "rewarded") if "rewarded" in entry else ()
+    return LevelDescription(name, actions, size, rewarded)
 
 
 def _action(level: str, entry: Any) -> Action:

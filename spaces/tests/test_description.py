@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from athrl_spaces import (
     DIRECT,
+    REWARD_TERMS,
     WAYPOINT,
     WAYPOINT_SET,
     Continuous,
@@ -25,6 +26,7 @@ from athrl_spaces import (
     PolicyDescription,
     Sampled,
     action_kind,
+    places_of_terms,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -48,6 +50,7 @@ ALL = {
     "sampled": described(WAYPOINT, exploration=Sampled()),
     "direct": described(DIRECT),
     "choices": described(WAYPOINT_SET, exploration=Epsilon(0.02, 0.2)),
+    "paid differently": described(WAYPOINT, replace(INTENTION, rewarded=("collision", "speed"))),
 }
 
 
@@ -89,6 +92,19 @@ def test_everything_that_was_decided_has_a_name() -> None:
     values = ALL["hierarchy"].named_values(actions, 1)
     assert values == {"intention": 0.5, "target_speed": 4.0, "waypoint_angle": -0.25}
     assert ALL["hierarchy"].entries == list(values)
+
+
+def test_level_of_which_nothing_is_said_is_paid_the_tasks_reward() -> None:
+    document = json.loads(ALL["hierarchy"].to_json())
+    for level in document["levels"]:
+        assert level.pop("rewarded") == []
+    assert PolicyDescription.from_json(json.dumps(document)) == ALL["hierarchy"]
+
+
+def test_terms_that_a_level_is_paid_are_found_by_their_names() -> None:
+    assert places_of_terms(("speed", "collision")) == (0, 1)
+    assert [REWARD_TERMS[place] for place in places_of_terms(("constant", "out"))] == ["out", "constant"]
+    assert places_of_terms(()) == places_of_terms(REWARD_TERMS[::-1]) == ()
 
 
 def test_levels_know_their_bounds() -> None:
@@ -141,6 +157,10 @@ ACTION = ("levels", 1, "actions", 0)
         (changed(("levels", 0, "state_size"), -1), "intention.state_size is -1; it should be 0 to 65536"),
         (changed(("levels", 0, "state_size"), 10**9), "intention.state_size is 1000000000; it should be"),
         (changed(("levels", 0, "actions"), []), "level 'intention' decides nothing"),
+        (changed(("levels", 0, "rewarded"), ["haste"]), "level intention is paid the term 'haste' of the"),
+        (changed(("levels", 0, "rewarded"), ["out", "out"]), "level intention is paid the term 'out' of the"),
+        (changed(("levels", 0, "rewarded"), "speed"), "'rewarded' is 'speed', not of type list"),
+        (changed(("levels", 0, "rewarded"), [1]), "'rewarded' is [1]; it should be a list of texts"),
         (changed((*ACTION, "type"), "fuzzy"), "an action of 'lowest' is 'fuzzy'; should be continuous or"),
         (changed((*ACTION, "type"), KeyError), "'type' is None, not of type str"),
         (changed((*ACTION, "name"), "intention"), "the action 'intention' comes twice"),

@@ -42,7 +42,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     from 1 on, is how many work at a step at most, by default as many as the process has cores. Each has at
     least four environments, as fewer cost more than they bring: the attribute `threads` tells how many work.
     The results do not depend on it. `autoreset_mode` is gymnasium's: an
-    episode that has ended begins anew at the next step (NEXT_STEP), within the same step (SAME_STEP), or when
+    episode that has ended is reset at the next step (NEXT_STEP), within the same step (SAME_STEP), or when
     `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED). Vectors of
     several towns may have memory for what is seen, `sight`, and the threads of a `crew` in common.
     """
@@ -193,7 +193,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         self._viewer = None
 
     def _step_after_reset(self, actions: NDArray[np.float32]) -> tuple:
-        """Step, or begin anew where the last step ended an episode."""
+        """Step, or reset where the last step ended an episode."""
         ended = self._ended.copy()
         if ended.any():
             self._begin(ended)
@@ -201,7 +201,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         return self._observe(), *self._results(), self._infos()
 
     def _reset_within_step(self, results: tuple) -> tuple:
-        """Begin anew where the step ended an episode; what was last seen there goes into the infos."""
+        """Reset where the step ended an episode; what was last seen there goes into the infos."""
         ended = self._ended.copy()
         final_infos = self._infos(ended)
         final = np.full(self.num_envs, None, dtype=object)

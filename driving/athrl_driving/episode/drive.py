@@ -41,7 +41,8 @@ def drive(state: EpisodeState, orders: Orders, first: int, last: int) -> None:
             image, motion = state.sight.images[row], state.sight.motion[row]
             draw_surroundings(state.perception, views.traffic, views.route, ego, image, progress.lidar[e])
             note_motion(ego, progress.control[e], motion)
-            record(state.sight.tape, row, progress.decisions[e], motion, progress.reward[e])
+            reward, terms = progress.reward[e], progress.terms[e]
+            record(state.sight.tape, row, progress.decisions[e], motion, reward, terms)
         if work & LOOK:
             advance(views.traffic, progress.ego[e], progress.path[e], 0.0)
 

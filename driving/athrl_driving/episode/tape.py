@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from athrl_spaces import MOTION
+from athrl_spaces import MOTION, REWARD_TERMS
 from numpy.typing import NDArray
 
 from athrl_driving.compilation import part
-from athrl_driving.maps.lane_graph import Integers
+from athrl_driving.maps.lane_graph import Floats, Integers
 
 
 class Tape(NamedTuple):
@@ -26,7 +26,9 @@ class Tape(NamedTuple):
     motion: NDArray[np.float32]
     """[E, N, m] that go with them."""
     rewards: NDArray[np.float32]
-    """[E, N] of the decision that the observation in the same row led to."""
+    """[E, N] of the decision that led to the observation in the same row."""
+    terms: NDArray[np.float32]
+    """[E, N, 7] of which they are the sums, in the order of `athrl_spaces.REWARD_TERMS`."""
     first: Integers
     """[E] how many decisions of the episode came before the observation in row 0."""
 
@@ -43,13 +45,19 @@ def new_tape(seen: NDArray[np.uint8], decisions: int) -> Tape:
         images=np.zeros((count, observations, pixels), np.uint8),
         motion=np.zeros((count, observations, len(MOTION)), np.float32),
         rewards=np.zeros((count, observations), np.float32),
+        terms=np.zeros((count, observations, len(REWARD_TERMS)), np.float32),
         first=np.zeros(count, np.int64),
     )
 
 
 @part
-def record(tape: Tape, e: int, decisions: int, motion: NDArray[np.float32], reward: float) -> None:
-    """Put what is seen in row `e` after so many decisions on its tape, if there is room."""
+def record(
+    tape: Tape, e: int, decisions: int, motion: NDArray[np.float32], reward: float, terms: Floats
+) -> None:
+    """Put what is seen and earned in row `e` after so many decisions on its tape, if there is room.
+
+    `motion` is float32 [m], `reward` the sum of `terms`, float64 [7].
+    """
     if decisions == 0:
         tape.first[e] = 0
     row = decisions - tape.first[e]
@@ -61,3 +69,5 @@ def record(tape: Tape, e: int, decisions: int, motion: NDArray[np.float32], rewa
     for number in range(motion.shape[0]):
         tape.motion[e, row, number] = motion[number]
     tape.rewards[e, row] = reward
+    for term in range(terms.shape[0]):
+        tape.terms[e, row, term] = terms[term]

@@ -20,12 +20,13 @@ class Recording:
             decisions, row 0 before the first.
         motion: float32 [count, recorded + 1, m] that goes with it.
         rewards: float32 [count, recorded + 1], likewise of the decision before; row 0 is of one that is out.
+        terms: float32 [count, recorded + 1, 7], the rewards' terms as `athrl_spaces.REWARD_TERMS` names them.
     """
 
     def __init__(self, tape: Tape, image_shape: tuple[int, ...]) -> None:
         self._tape = tape
         self.images: NDArray[np.uint8] = tape.images.reshape(*tape.images.shape[:2], *image_shape)
-        self.motion, self.rewards = tape.motion, tape.rewards
+        self.motion, self.rewards, self.terms = tape.motion, tape.rewards, tape.terms
 
     def state(self) -> dict[str, NDArray]:
         """What `load_state` goes on from: copies."""
@@ -45,6 +46,7 @@ class Recording:
             "images": self.images,
             "motion": self.motion,
             "rewards": self.rewards,
+            "terms": self.terms,
             "first": self._tape.first,
         }
 

@@ -24,6 +24,9 @@ from pydantic import Field
 from athrl_planners.planner import LevelPlan, Planner
 from athrl_planners.settings import ActorCriticSettings
 
+PROGRESS = ("collision", "speed", "fast", "out", "constant")
+"""Terms of the reward beside what steering costs, `steer` and `lateral`."""
+
 
 class AtHRLSettings(ActorCriticSettings):
     """atHRL: the intention planner over the trajectory planner."""
@@ -42,6 +45,11 @@ class AtHRLSettings(ActorCriticSettings):
     )
     intention_noise: float = Field(
         default=0.2, ge=0, le=2, description="Deviation of the noise on the intention, half-ranges."
+    )
+    intention_reward: Literal["task", "progress"] = Field(
+        default="task",
+        description="What the intention planner is paid, r_h; task: the same as the trajectory planner; "
+        "progress: that without what steering costs, the terms steer and lateral, as it does not steer.",
     )
     intention_every: int = Field(
         default=1,
@@ -85,6 +93,7 @@ class AtHRL(Planner):
                 view=settings.intention_view,
                 gradient_from_below=settings.intention_gradient,
                 head_features=settings.intention_features,
+                rewarded=PROGRESS if settings.intention_reward == "progress" else (),
             ),
             LevelPlan("trajectory", trajectory, settings.update_rule, view=settings.trajectory_view),
         )

@@ -30,6 +30,7 @@ class ContinuousRule(UpdateRule):
 
     centre: Tensor
     half_range: Tensor
+    stochastic = False
 
     def __init__(
         self,
@@ -46,8 +47,6 @@ class ContinuousRule(UpdateRule):
         centre, half_range = centre_and_half_range(plan.actions)
         self.register_buffer("centre", centre, persistent=False)
         self.register_buffer("half_range", half_range, persistent=False)
-
-    stochastic = False
 
     def make_networks(self) -> LevelNetworks:
         """An actor and critics."""

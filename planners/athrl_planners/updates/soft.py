@@ -1,6 +1,6 @@
 """SAC (Haarnoja et al. 2018): random actors, whose entropy is worth something.
 
-target       r + discount * (min_i Q_i'(s', a') - temperature * log pi(a' | s')),   a' ~ pi(. | s')
+target       r + discount * (min_i Q_i'(s', a') - temperature * log pi'(a' | s')),  a' ~ pi'(. | s')
 actor        maximise  min_i Q_i(s, a) - temperature * log pi(a | s),                a ~ pi(. | s)
 temperature  rises while the entropy is below the wanted one, else falls
 """
@@ -25,7 +25,7 @@ LOG_DEVIATION = (-5.0, 1.0)
 
 
 class SoftRule(ContinuousRule):
-    """SAC; the online actor decides in targets, too. The temperature is learnt with the actor."""
+    """SAC with a learnt temperature; in targets the target actor decides, in Haarnoja's the online one."""
 
     stochastic = True
     actor_delay = 1
@@ -72,7 +72,7 @@ class SoftRule(ContinuousRule):
         return Objective(gain + self.log_temperature * missing, action, raw)
 
     def _sample(self, output: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """A random action [n, actions], the logarithm of its density [n], and the mean before the tanh."""
+        """A random action [n, actions], its log density [n], and the mean [n, actions] before the tanh."""
         mean, deviation = _distribution(output)
         noise = self.noise.normal_like(mean)
         raw = mean + deviation * noise

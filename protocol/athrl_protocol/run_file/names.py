@@ -35,6 +35,11 @@ class KnownNames:
         section, _, key = name.partition(".")
         if name in self._settings:
             return
+        if name in self._sections:
+            first = next(setting for setting in self._settings if setting.startswith(f"{name}."))
+            raise RunFileError(
+                f"{place}: {name} is a section, should be one of its settings, such as {first}"
+            )
         if section == "planner" and key:
             if not declared_planners():
                 return
@@ -73,5 +78,6 @@ def cut(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a text with every run of white space as one blank."""
-    return " ".join(text.split())
+    """Return a text with every run of white space as one blank, and what cannot be shown as its number."""
+    shown = (sign if sign.isprintable() or sign.isspace() else f"\\u{ord(sign):04x}" for sign in text)
+    return " ".join("".join(shown).split())

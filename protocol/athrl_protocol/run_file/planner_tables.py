@@ -72,7 +72,7 @@ def left_out_for_another_kind(table: Mapping[str, Any], kind: str) -> dict[str, 
     """A table `[planner]` without what planners of `kind` lack, where it has the default of its own kind.
 
     A run file with every setting of one kind is so also a run file of another. What differs from its default
-    stays, to be refused: whoever wrote it wants something that `kind` does not have.
+    stays, to be refused: its author wants something that `kind` does not have.
     """
     own, other = _declared.get(table.get("kind", default_kind())), _declared.get(kind)
     if own is None or other is None:

@@ -98,7 +98,8 @@ def _require_every_setting(values: dict[str, Any], source: str) -> None:
         table = values.get(setting.section)
         if not isinstance(table, dict) or setting.key not in table:
             raise RunFileError(
-                f"{source}: {setting.name} is missing, the file is damaged: put back what the run began with"
+                f"{source}: {setting.name} is missing, the file is damaged or of another release: "
+                "put back what the run began with"
             )
 
 

@@ -195,7 +195,7 @@ class ActorSection(Section):
     stall_seconds: float = Field(
         default=60.0,
         gt=0,
-        description="Seconds within which a step of the environments returns; else they are made anew.",
+        description="Seconds within which a step of the environments returns; else they are made again.",
     )
     failures_allowed: int = Field(
         default=5,

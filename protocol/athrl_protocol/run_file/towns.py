@@ -65,8 +65,8 @@ def _town(name: Any) -> str:
     if not name.endswith(MAP_ENDINGS) or name in MAP_ENDINGS:
         near = difflib.get_close_matches(name.lower(), TOWNS, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""
-        if name[:1] in "[{":  # what is no TOML was taken for a text
-            hint = '; the texts of a list need quotes, ["town03", "town04"]'
+        if name.startswith(("[", "{")) or "," in name:  # what is no TOML was taken for a text
+            hint = '; the texts of a list need quotes, ["town03", "town04"], shares are numbers, {town03 = 2}'
         raise ValueError(f"{_quoted(name)} is no town: should be {_MAY_BE}{hint}")
     # It travels with results and frames, and is shown in one line.
     if len(name) > LONGEST_NAME or not name.isprintable():

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from athrl_driving.policy import Recording
 from athrl_protocol import Chunk, LevelColumns
+from athrl_spaces import LevelDescription, places_of_terms
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -42,7 +43,7 @@ class ChunkCutter:
         environments: how many there are.
         sequence_length: decisions in a sequence; the recurrent states before each are in the chunk.
         sequences: of which a chunk has so many at most.
-        levels: action size and state size of each level, by name from the highest down.
+        levels: of the planner, from the highest down.
         clock: seconds, for `LONGEST_SECONDS`.
     """
 
@@ -55,7 +56,7 @@ class ChunkCutter:
         environments: int,
         sequence_length: int,
         sequences: int,
-        levels: Mapping[str, tuple[int, int]],
+        levels: Sequence[LevelDescription],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._actor, self._incarnation = actor, incarnation
@@ -73,14 +74,14 @@ class ChunkCutter:
         # Twice as long as a chunk, so that they are seldom moved and a chunk's decisions lie together.
         self._policy_version = np.zeros(2 * self._longest, np.int64)
         self._actions = {
-            level: np.zeros((2 * self._longest, environments, actions), np.float32)
-            for level, (actions, _) in levels.items()
+            level.name: np.zeros((2 * self._longest, environments, level.action_size), np.float32)
+            for level in levels
         }
         self._states = {
-            level: np.zeros((environments, sequences, state), np.float32)
-            for level, (_, state) in levels.items()
+            level.name: np.zeros((environments, sequences, level.state_size), np.float32) for level in levels
         }
-        self._remembering = [level for level, (_, state) in levels.items() if state]
+        self._remembering = [level.name for level in levels if level.state_size]
+        self._terms = {level.name: list(places_of_terms(level.rewarded)) for level in levels}
 
     def begin(self, row: int, episode_seed: int) -> None:
         """Start an episode in one environment, which has been reset.
@@ -217,7 +218,7 @@ class ChunkCutter:
         steps = sequences * self._interval
         places = slice(self._began[row], self._place)
         recording = self._batch.recording
-        rewards = _padded(recording.rewards[row, 1 : length + 1], steps)
+        rewards = self._rewards(recording, row, length, steps)
         chunk = Chunk(
             actor=self._actor,
             incarnation=self._incarnation,
@@ -232,7 +233,7 @@ class ChunkCutter:
             levels={
                 level: LevelColumns(
                     actions=_padded(actions[places, row], steps),
-                    rewards=rewards,  # every level has the task's
+                    rewards=rewards[level],
                     states=self._states[level][row, :sequences].copy(),
                 )
                 for level, actions in self._actions.items()
@@ -245,6 +246,18 @@ class ChunkCutter:
         self._first_steps[row] += length
         self._open(row)
         return chunk
+
+    def _rewards(self, recording: Recording, row: int, length: int, steps: int) -> dict[str, np.ndarray]:
+        """What each level is paid for one environment's last `length` decisions, float32 [steps].
+
+        Levels that are paid the task's reward have the same array.
+        """
+        of_the_task = _padded(recording.rewards[row, 1 : length + 1], steps)
+        terms = recording.terms[row, 1 : length + 1]
+        return {
+            level: _padded(terms[:, places].sum(axis=1), steps) if places else of_the_task
+            for level, places in self._terms.items()
+        }
 
 
 def _padded(column: np.ndarray, rows: int) -> np.ndarray:

@@ -213,7 +213,7 @@ class Rollout:
             environments=len(batch),
             sequence_length=self._sequence_length,
             sequences=self._sequences,
-            levels={level.name: (level.action_size, level.state_size) for level in description.levels},
+            levels=description.levels,
         )
         noise = ExplorationNoise(description, batch.ranks, self._seeds.exploration())
         return _Course(description, batch, noise, cutter)

@@ -1,5 +1,6 @@
 """Chunks are pieces of one episode: nothing lost, nothing glued, states from before each sequence."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from athrl_actor.chunks import LONGEST_SECONDS, ChunkCutter
 from athrl_driving.episode.tape import new_tape
 from athrl_driving.policy import Recording
 from athrl_protocol import Chunk, encode_chunk
+from athrl_spaces import REWARD_TERMS, WAYPOINT, Continuous, LevelDescription, Limits, action_kind
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +23,11 @@ def motion(episode: int, step: int) -> np.ndarray:
     return np.array([episode + 1, step + 1], np.float32)
 
 
-LEVELS = {"intention": (1, 3), "trajectory": (2, 0)}
+INTENTION = LevelDescription("intention", (Continuous("intention", "", 0.0, 2.0),), 3)
+TRAJECTORY = LevelDescription("trajectory", action_kind(WAYPOINT).describe(Limits()))
+LEVELS = (INTENTION, TRAJECTORY)
+SHARES = dict(zip(REWARD_TERMS, (8, 4, 2, 1, -1, -2, -11), strict=True))
+"""Of each term in a reward."""
 
 
 class Batch:
@@ -39,12 +45,19 @@ class Batch:
         self.recording.images[row, place] = image(episode, step)
         self.recording.motion[row, place] = motion(episode, step)
         self.recording.rewards[row, place] = 1 - step
+        self.recording.terms[row, place] = (1 - step) * np.array(list(SHARES.values()))
 
 
 class Drive:
     """A cutter with its environments, and a clock that stands still unless it is told."""
 
-    def __init__(self, environments: int, sequence_length: int, sequences: int = 1) -> None:
+    def __init__(
+        self,
+        environments: int,
+        sequence_length: int,
+        sequences: int = 1,
+        levels: tuple[LevelDescription, ...] = LEVELS,
+    ) -> None:
         self.now = 0.0
         self.batch = Batch(environments, sequence_length * sequences)
         self.cutter = ChunkCutter(
@@ -54,7 +67,7 @@ class Drive:
             environments=environments,
             sequence_length=sequence_length,
             sequences=sequences,
-            levels=LEVELS,
+            levels=levels,
             clock=lambda: self.now,
         )
 
@@ -213,6 +226,34 @@ def test_a_chunk_does_not_change_when_its_sources_or_its_cutter_do():
     np.testing.assert_array_equal(chunk.levels["intention"].states, [[0, 0, 0]])
     np.testing.assert_array_equal(chunk.levels["intention"].actions, [[0], [0]])
     assert chunk.policy_version.tolist() == [0, 0]
+
+
+@pytest.mark.parametrize(
+    ("paid", "share"),
+    [
+        (("collision", "speed", "fast", "out", "constant"), 4),
+        (("lateral",), -2),
+        (("constant", "collision"), -3),
+        (REWARD_TERMS[::-1], 1),
+    ],
+)
+def test_levels_are_paid_the_terms_that_they_say(paid: tuple[str, ...], share: int):
+    course = Drive(2, 3, sequences=2, levels=(replace(INTENTION, rewarded=paid), TRAJECTORY))
+    for row in range(2):
+        course.begin(row, row)
+    chunks = [
+        chunk
+        for step in range(8)
+        for chunk in course.decide((0, step, ""), (1, step, "terminated" if step == 7 else ""))
+    ]
+    chunks += course.cutter.flush()
+    assert [(chunk.environment, chunk.length) for chunk in chunks] == [(0, 6), (1, 6), (1, 2), (0, 2)]
+    for chunk in chunks:
+        earned = np.zeros(chunk.time, np.float32)
+        earned[: chunk.length] = -np.arange(chunk.first_step, chunk.first_step + chunk.length)
+        np.testing.assert_array_equal(chunk.levels["trajectory"].rewards, earned)
+        np.testing.assert_array_equal(chunk.levels["intention"].rewards, share * earned)
+        encode_chunk(chunk)  # it is valid
 
 
 def test_an_episode_cannot_begin_over_pending_transitions():

@@ -38,7 +38,7 @@ class Parts:
         trainer: updates them.
         arrivals: which actor sent how much.
         store: replay, log and limiter.
-        ledger: of the chunks that are settled; whoever takes chunks in goes on with it.
+        ledger: of the chunks that are settled; the intake continues with it.
         publication: hands the policy out.
         best: hears what evaluators say, and knows the best checkpoint.
         checkpointer: writes checkpoints.

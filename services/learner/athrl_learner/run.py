@@ -91,7 +91,7 @@ def run_learner(
     shown = find_certificates(run_file.network.certificates, NAME)
     if shown is not None:
         shown.check_may_serve(NAME)
-    elif resume is not None:  # whoever gives the settings anew gives the address anew as well
+    elif resume is not None:  # a new run brings its own address
         complete_address(read_run_file(resume / "run.toml", complete=True).network.listen)
     address = complete_address(run_file.network.listen, secure=shown is not None)
     training_device(run_file)  # refused here: nothing has been written
@@ -118,7 +118,7 @@ def run_learner(
         connections = connect(stack, session, run_file, parts)
         # Only settings that the checkpoint fits replace those it was made with.
         folder.lay_out(to_toml(_with_address(run_file, address)))
-        # Last, because whoever has the run file expects everything else to be there.
+        # Last, because a client with the run file expects everything else to be there.
         stack.enter_context(serve_run_file(session, run_file))
         stack.enter_context(announce_presence(session, run_file.run.name, NAME, NAME))
         log.info("run %s listens at %s and writes into %s", run_file.run.name, address, path)

@@ -98,11 +98,17 @@ def _differences(before: PolicyDescription, now: PolicyDescription) -> Iterator[
     for was, level in zip(before.levels, now.levels, strict=False):
         if _decided(was) != _decided(level):
             yield f"its level {was.name} decided {_decided(was)}, the planner's decides {_decided(level)}"
+        if was.rewarded != level.rewarded:
+            yield (f"its level {was.name} was paid {_paid(was)}, the planner's is paid {_paid(level)}")
         if was.state_size != level.state_size:
             yield (
                 f"its level {was.name} remembered {was.state_size} numbers, the planner's remembers "
                 f"{level.state_size}"
             )
+
+
+def _paid(level: LevelDescription) -> str:
+    return " + ".join(level.rewarded) or "the task's reward"
 
 
 def _decided(level: LevelDescription) -> str:

@@ -88,7 +88,7 @@ def check_batch(path: Path, run_file: RunFile) -> None:
 
 
 def check_that_it_is_resumed(folder: Path) -> None:
-    """What was acknowledged is in the log: whoever resumes has it, and training goes well this time."""
+    """What was acknowledged is in the log: a resumed run has it, and training goes well this time."""
     stop = threading.Event()
     stop.set()
     resumed: Summary = run_learner(None, resume=folder, stop=stop)

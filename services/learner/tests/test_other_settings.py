@@ -48,6 +48,12 @@ def test_setting_that_the_checkpoint_does_not_fit_is_named_with_both_values(run_
     assert line.endswith(f"; planner.{key} was {before} and is {before + 4}")
 
 
+def test_run_whose_level_was_paid_otherwise_is_refused(run_file, stopped):
+    folder = run_learner(run_file, stop=stopped).folder
+    line = refusal(with_planner(run_file, intention_reward="progress"), folder, stopped)
+    assert line.endswith("; planner.intention_reward was 'task' and is 'progress'")
+
+
 @pytest.mark.parametrize("checkpoints", ["there", "removed"])
 def test_run_of_another_planner_is_refused_by_both_kinds(run_file, stopped, checkpoints):
     folder = run_learner(run_file, stop=stopped).folder

@@ -203,7 +203,7 @@ def test_a_damaged_record_behind_the_checkpoint_is_named_and_counted(run_file, m
     assert back.restored.recovered == 2
     assert back.store.environment_steps == learner.store.environment_steps - TIME
     assert f"{path}: a record is damaged" in caplog.text
-    # It is in the ledger as lost, so whoever sent it is asked for the next one.
+    # It is in the ledger as lost, so its sender is asked for the next one.
     assert back.totals() == {"stored": 10, "transitions": 50, "refused": 0, "lost": 1}
     assert back.ledger() == learner.ledger()
     assert back.snapshot().state["damaged"] == 1

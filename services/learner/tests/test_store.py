@@ -74,7 +74,7 @@ def test_training_waits_while_experience_lags(store, make_chunk, accept):
     while store.sample(timeout=0) is not None:
         pass
     assert store.learner_waiting.share() > 0
-    # Whoever waits is woken by the experience it waits for, long before its time is up.
+    # A thread that waits is woken by the experience it waits for, long before its time is up.
     sampled = []
     waiting = threading.Thread(target=lambda: sampled.append(store.sample(timeout=60)))
     waiting.start()

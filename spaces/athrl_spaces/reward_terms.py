@@ -1,0 +1,25 @@
+"""The terms of the reward by name, and which of them a level of a planner is paid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+REWARD_TERMS = ("collision", "speed", "fast", "out", "steer", "lateral", "constant")
+"""Names of the terms whose weighted sum is the task's reward, in the order of the sum."""
+
+
+def refuse_wrong_terms(level: str, rewarded: Sequence[str]) -> None:
+    """Raise ValueError, in one line, where a level is paid a term that does not exist, or one twice."""
+    for term in rewarded:
+        if term not in REWARD_TERMS:
+            terms = ", ".join(REWARD_TERMS)
+            raise ValueError(f"level {level} is paid the term {term!r:.60} of the reward; there are {terms}")
+        if list(rewarded).count(term) > 1:
+            raise ValueError(f"level {level} is paid the term {term!r} of the reward twice; once is enough")
+
+
+def places_of_terms(rewarded: Sequence[str]) -> tuple[int, ...]:
+    """Places in `REWARD_TERMS` of what a level is paid; none for all of them, the task's reward itself."""
+    if set(rewarded) == set(REWARD_TERMS):
+        return ()
+    return tuple(place for place, term in enumerate(REWARD_TERMS) if term in rewarded)
