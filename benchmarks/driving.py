@@ -42,7 +42,7 @@ class Driving:
             self._begin(row)
 
     def decide(self) -> int:
-        """Make a decision in each environment and reset those that ended; return how many decisions it was."""
+        """Make a decision in each environment and reset those that ended; return how many were made."""
         step = self._policy.step(self._batch.images, self._batch.motion, self._states)
         self._states = {name: states.copy() for name, states in step.states.items()}
         outcome = self._batch.step(self._policy.description.environment_action(step.actions))

@@ -40,7 +40,7 @@ def torch_as_it_was() -> Iterator[None]:
 
 
 def test_intention_that_is_paid_for_progress_earns_what_steering_cost_the_trajectory(tmp_path: Path) -> None:
-    settings = (*TINY, "planner.intention_reward=progress")
+    settings = (*TINY, "planner.intention_target=experience", "planner.intention_reward=progress")
     assert drive_serially(tmp_path, "whole", settings)
     assert not drive_serially(tmp_path, "halves", settings, stop_at=130)
     assert drive_serially(tmp_path, "halves", settings, resume=True)

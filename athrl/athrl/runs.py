@@ -17,11 +17,15 @@ def know_planners() -> None:
 
     Raises:
         CommandError: the planners are not installed.
-        UnknownPlanner: an installed package brings along a planner that cannot be loaded.
+        UnknownPlanner: an installed package brings along a planner that cannot be loaded, or held to.
     """
     with needs("learner"):
-        from athrl_planners.registry import settings_tables
-    declare_planners(settings_tables())
+        from athrl_planners.registry import UnknownPlanner, settings_tables
+    tables = settings_tables()
+    try:
+        declare_planners(tables)
+    except ValueError as error:
+        raise UnknownPlanner(str(error)) from None
 
 
 def run_folder(settings: RunFile) -> Path:

@@ -36,7 +36,7 @@ def status(
     connect: ConnectOption = DEFAULTS.network.listen,
     run: LiveRunOption = None,
     as_json: JsonOption = False,
-    follow: Annotated[bool, typer.Option("--follow", help="Go on showing the run until Ctrl-C.")] = False,
+    follow: Annotated[bool, typer.Option("--follow", help="Keep showing the run until Ctrl-C.")] = False,
     check: Annotated[
         str | None,
         typer.Option(

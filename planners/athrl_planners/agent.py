@@ -130,7 +130,7 @@ class Agent:
             each piece of the batch, float32 [pieces].
 
         Raises:
-            TrainingDiverged: a loss is not finite; this batch has changed nothing.
+            TrainingDiverged: on a CPU, the critics' loss is not finite; this batch has changed nothing.
         """
         return self.update_prepared(self.prepare(batch), progress)
 
@@ -162,7 +162,7 @@ class Agent:
             metrics["actor_gradient"] = self._step(
                 state.actor_optimiser, state.actor_parameters, [gradients for _, gradients in actors], rate
             )
-        state.follow()
+        state.update_targets()
         return metrics, torch.cat([part.errors for part, _ in critics])
 
     def _critic_gradients(self, number: int, data: TrainingBatch) -> tuple[CriticLoss, Gradients]:

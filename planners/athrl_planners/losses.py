@@ -4,8 +4,8 @@ For levels from the highest down, with s what a level's trunk makes of what is s
 above have decided, and Q', pi' the target networks:
 
     target     y = r + discount^n * Q'(s', above', pi'(s', above'))        n steps later
-    critics    least loss of Q(s, above, a) against y; the trunk learns from this alone
-    actors     most of Q(s, above, pi(s, above)), and, for a level with `gradient_from_below`, of the next
+    critics    minimise the loss of Q(s, above, a) against y; the trunk learns from this alone
+    actors     maximise Q(s, above, pi(s, above)), and, for a level with `gradient_from_below`, the next
                level's Q(s, pi(s), pi_below(s, pi(s))) as well (paper, "Hierarchical Off-Policy Actor-Critic")
 """
 
@@ -46,17 +46,16 @@ def critic_loss(state: TrainingState, data: TrainingBatch) -> CriticLoss:
     errors = torch.zeros(data.pieces, device=data.rows.device)
     metrics: dict[str, Tensor] = {}
     above: list[Tensor] = []
-    for level in state.levels:
-        context, part, target = (
-            contexts[state.trunk_of(level.name)],
-            data.levels[level.name],
-            targets[level.name],
-        )
+    for number, level in enumerate(state.levels):
+        context, part = contexts[state.trunk_of(level.name)], data.levels[level.name]
+        target = targets[level.name]
+        if level.plan.value_from == "below":
+            below = state.levels[number + 1]
+            target = _worth(state, below, contexts[state.trunk_of(below.name)], [*above, part.taken])
         seen = joined(above, context)
         outputs = [level.rule.value_of(critic, context, seen, part.taken) for critic in level.online.critics]
-        level_loss = (
-            torch.stack([state.values.loss(output, target) for output in outputs]).sum(0) @ part.weights
-        )
+        losses = torch.stack([state.values.loss(output, target) for output in outputs])
+        level_loss = losses.sum(dim=0) @ part.weights
         loss = loss + level_loss
         value = state.values.mean(outputs[0].detach())
         error = (value - state.values.target_mean(target)).abs()
@@ -96,6 +95,15 @@ def actor_losses(
             metrics[f"{level.name}/saturated"] = saturated @ part.weights
         above.append(part.taken)
     return losses, metrics
+
+
+@torch.no_grad()
+def _worth(state: TrainingState, level: Level, context: Tensor, above: list[Tensor]) -> Tensor:
+    """What a level's critics say of its own decision here and now: as a target for those above it."""
+    seen = joined(above, context)
+    step = level.rule.following(level.online, level.online, (context, context), seen)
+    reward = torch.zeros(len(context), device=context.device) if step.bonus is None else step.bonus
+    return state.values.target(reward, torch.ones_like(reward), step.output)
 
 
 @torch.no_grad()
@@ -139,7 +147,8 @@ class _Following:
         if part.held is not None and part.in_force is not None:
             held, in_force = part.held[self._horizon].unsqueeze(1), part.in_force[self._horizon]
             action = torch.where(held, in_force, action)
-            output = torch.where(held, level.rule.counts(level.target, contexts[0], seen, in_force), output)
+            output_in_force = level.rule.target_output(level.target, contexts[0], seen, in_force)
+            output = torch.where(held, output_in_force, output)
         self._outputs[level.name] = (output, step.bonus)
         return action
 

@@ -23,7 +23,7 @@ class NoiseSource:
         self._thread = threading.local()
 
     def use(self, part: int) -> None:
-        """Let the calling thread draw for this part from now on; the first one where it never said so."""
+        """Let the calling thread draw for this part from now on; without this call it draws for the first."""
         self._thread.part = part
 
     def normal_like(self, tensor: Tensor) -> Tensor:

@@ -35,6 +35,8 @@ class LevelPlan:
         head_features: width of the hidden layers of its actor and critics; 0: what the settings say.
         rewarded: names of the terms of the reward that it is paid (`athrl_spaces.REWARD_TERMS`); empty: all
             of them, the task's reward.
+        value_from: what its critics learn; experience: its rewards and its own next value; below: what the
+            next level's critics say of that level's decision, in which that level's noise does not count.
     """
 
     name: str
@@ -45,6 +47,7 @@ class LevelPlan:
     gradient_from_below: float = 0.0
     head_features: int = 0
     rewarded: tuple[str, ...] = ()
+    value_from: Literal["experience", "below"] = "experience"
 
     def __post_init__(self) -> None:
         if not self.actions:

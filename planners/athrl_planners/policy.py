@@ -50,7 +50,7 @@ class LevelPolicy(nn.Module):
         """One decision in physical units or an index, [batch, n], and what the level has to remember of it.
 
         `held` [batch, n + 1] is the decision in force and for how many more it is held, or has no columns;
-        `forced` [batch, n] replaces the decision where it is not NaN.
+        `forced` [batch, n] replaces the decision where it is not NaN, but none that is held.
         """
         action = self.rule.decide(self.deciding, context, above, noise)
         if forced is not None:

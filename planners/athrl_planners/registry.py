@@ -28,7 +28,7 @@ PLANNERS: dict[str, str] = {
 
 
 class UnknownPlanner(ValueError):  # noqa: N818  (the name says what it is)
-    """There is no planner of that name; the text is one line for the user."""
+    """There is no planner of that name, or none that can be used; the text is one line for the user."""
 
 
 @cache
@@ -63,10 +63,13 @@ def _load(kind: str, place: str) -> type[Planner]:
     module, _, name = place.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, SyntaxError) as error:
         raise UnknownPlanner(f"the planner {kind} cannot be loaded from {place}: {error}") from None
     if not (isinstance(found, type) and issubclass(found, Planner)):
         raise UnknownPlanner(f"the planner {kind} at {place} is {found!r:.60}, it should be a Planner")
+    for attribute in ("kind", "summary", "settings", "action_kind"):
+        if not hasattr(found, attribute):
+            raise UnknownPlanner(f"the planner {kind} at {place} has no {attribute}, which it should say")
     if found.kind != kind:
         raise UnknownPlanner(
             f"the planner at {place} calls itself {found.kind!r}, it is registered as {kind!r}"

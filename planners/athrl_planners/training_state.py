@@ -126,7 +126,7 @@ class TrainingState:
         """Their averages, which are published."""
         return self._averages
 
-    def follow(self) -> None:
+    def update_targets(self) -> None:
         """Move target and averaged networks towards the trained ones."""
         tau, share = self.settings.tau, 1 - self.settings.average_decay
         follow(self._targets.parameters(), self._trunks.parameters(), tau)
@@ -185,6 +185,11 @@ def _trunks(modules: nn.ModuleDict) -> Iterator[tuple[str, Trunk]]:
 def _require_levels_below(plans: tuple[LevelPlan, ...]) -> None:
     for number, plan in enumerate(plans):
         below = [next_plan.update_rule for next_plan in plans[number + 1 : number + 2]]
+        paid = [next_plan.rewarded for next_plan in plans[number + 1 : number + 2]]
+        if plan.value_from == "below" and paid != [plan.rewarded]:
+            raise ValueError(
+                f"level {plan.name} learns values from below, where there is no level that is paid the same"
+            )
         if plan.gradient_from_below and below in ([], ["dqn"]):
             raise ValueError(
                 f"level {plan.name} takes a gradient from below, where there is no level that decides numbers"

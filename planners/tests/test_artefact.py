@@ -256,7 +256,7 @@ def test_metadata_is_the_agents_description(publish: Callable[[str], Published],
     ("reward", "paid"), [("task", ()), ("progress", ("collision", "speed", "fast", "out", "constant"))]
 )
 def test_intention_is_paid_what_its_setting_says(new_agent: NewAgent, reward: str, paid: tuple[str]) -> None:
-    agent = new_agent("athrl", image_size=32, intention_reward=reward)
+    agent = new_agent("athrl", image_size=32, intention_reward=reward, intention_target="experience")
     model = onnx.load_from_string(PolicyExporter(agent).artefact())
     metadata = {entry.key: entry.value for entry in model.metadata_props}
     levels = PolicyDescription.from_json(metadata["athrl"]).levels

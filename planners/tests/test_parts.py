@@ -70,6 +70,22 @@ def test_update_in_parts_repeats_itself_bit_for_bit(
         assert torch.equal(tensor, second.state_dict()["networks"][name])
 
 
+def test_part_draws_its_own_noise_on_every_thread(
+    experience: Callable[[Agent], SequenceReplay], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class OneThread(Crew):
+        def each(self, compute: Callable[[int, Any], Any], parts: Any) -> list[Any]:
+            return [compute(number, part) for number, part in enumerate(parts)]
+
+    first, second = (agent("athrl", 3, update_rule="sac") for _ in range(2))
+    monkeypatch.setattr(second, "_crew", OneThread(3))
+    batch = experience(first).sample(20)
+    first.update(batch)
+    second.update(batch)
+    for name, tensor in first.state_dict()["networks"].items():
+        assert torch.equal(tensor, second.state_dict()["networks"][name])
+
+
 def test_parts_are_computed_at_the_same_time() -> None:
     everybody = threading.Barrier(3)
 

@@ -24,6 +24,7 @@ PLAIN = {
     "discount": 0.9,
     "end_penalty": 7.0,
 }
+HELD = {**PLAIN, "intention_target": "experience"}
 NewAgent = Callable[..., Agent]
 NewSequence = Callable[..., Sequence]
 ReplayOf = Callable[..., SequenceReplay]
@@ -158,7 +159,7 @@ def test_targets_of_the_trajectory_planner_under_a_held_intention(
     every: int,
     shared_trunk: bool,
 ) -> None:
-    agent = new_agent(n_step=n_step, intention_every=every, shared_trunk=shared_trunk, **PLAIN)
+    agent = new_agent(n_step=n_step, intention_every=every, shared_trunk=shared_trunk, **HELD)
     spread(agent)
     pieces, (high, low) = sequences(agent), agent.state.levels
     expected = {}
@@ -180,7 +181,7 @@ def test_targets_of_the_trajectory_planner_under_a_held_intention(
 def test_held_intention_is_trained_where_it_is_decided_over_as_long_as_it_is_held(
     new_agent: NewAgent, replay_of: ReplayOf, new_sequence: NewSequence, memory: str
 ) -> None:
-    agent = new_agent(n_step=1, intention_every=3, memory=memory, **PLAIN)
+    agent = new_agent(n_step=1, intention_every=3, memory=memory, **HELD)
     sequence = new_sequence(agent, 1, length=5)
     sequence.initial_state["intention"][-1] = 1  # so it is decided at 1 and at 4
     sequence.rewards["intention"][:] = [10, 20, 30, 40, 50]
@@ -208,7 +209,7 @@ def test_target_of_a_held_intention_values_the_one_that_still_holds(
     new_agent: NewAgent, replay_of: ReplayOf, new_sequence: NewSequence
 ) -> None:
     """At a sequence's end what is held there counts, not what would be decided."""
-    agent = new_agent(intention_every=3, **PLAIN)
+    agent = new_agent(intention_every=3, **HELD)
     spread(agent)
     sequence = new_sequence(agent, 1, length=2)
     sequence.initial_state["intention"][-1] = 0  # decided at 0, held at 1 and at 2

@@ -215,7 +215,7 @@ def test_average_that_forgets_everything_is_the_newest(remembering: NewSequence,
     agent = new_agent("ddpg", average_decay=0.0, td3_actor_delay=1)
     with torch.no_grad():
         agent.state.levels[0].online.actor.layers.last.bias.fill_(1.0)
-    agent.state.follow()
+    agent.state.update_targets()
     for level in agent.state.levels:
         assert equal(level.averaged.state_dict(), level.online.actor.state_dict())
 

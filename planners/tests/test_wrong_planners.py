@@ -254,6 +254,7 @@ def test_level_that_cannot_be_is_refused(changes: dict[str, Any], message: str) 
         ("athrl_planners.athrl:Nobody", "the planner mine cannot be loaded from athrl_planners.athrl:Nobody"),
         ("athrl_planners.settings:PlannerSettings", "it should be a Planner"),
         ("athrl_planners.athrl:AtHRL", "calls itself 'athrl', it is registered as 'mine'"),
+        ("athrl_planners.planner:Planner", "has no kind, which it should say"),
     ],
 )
 def test_planner_that_cannot_be_loaded_is_refused_by_name(

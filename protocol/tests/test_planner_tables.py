@@ -163,6 +163,7 @@ def test_mistake_in_the_planner_is_one_line_that_names_it(
         (["planner.feathers=3", "planner.kind=flyer"], ["--set planner.feathers=3: should be "]),
         (["planner.legs.left=3"], ["planner.legs.left is no setting", "did you mean planner.legs?"]),
         (["stride=1"], ["stride is no setting", "did you mean planner.stride?"]),
+        (["planner=flyer"], ["planner is no setting but a section of them, such as planner.kind"]),
     ],
 )
 def test_mistake_in_an_override_is_one_line_that_names_it(overrides: list[str], parts: list[str]) -> None:

@@ -95,6 +95,8 @@ def test_mistake_in_the_towns_is_one_line_that_names_it(
 def test_list_without_quotes_is_told_how_to_write_it() -> None:
     with pytest.raises(RunFileError, match=r'need quotes, \["town03", "town04"\]'):
         read_run_file(None, ["environment.towns=[town03, town04]"])
+    with pytest.raises(RunFileError, match=r'need quotes, \["town03", "town04"\]'):
+        read_run_file(None, ["environment.towns=town03,town04"])
 
 
 def test_former_name_of_the_setting_leads_to_the_new_one() -> None:

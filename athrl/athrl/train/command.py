@@ -48,7 +48,7 @@ def train(
         int | None, typer.Option(min=1, help="Actors; by default as many as the learner needs.")
     ] = None,
     resume: Annotated[
-        str | None, typer.Option(metavar="RUN", help="Go on with an interrupted run, by its name or folder.")
+        str | None, typer.Option(metavar="RUN", help="Continue an interrupted run, by its name or folder.")
     ] = None,
     viewer_port: Annotated[
         int,
@@ -84,7 +84,7 @@ def train(
         division = divide_cores(usable_cores(), threads=plan.settings.learner.threads, actors=actors)
         finished = _run_distributed(plan, division, viewer_port, certificates)
     if not finished:
-        say(f"stopped; to go on: {_to_go_on(plan)}")
+        say(f"stopped; to continue: {_to_continue(plan)}")
         raise typer.Exit(INTERRUPTED)
     for table in comparison_tables(read_comparison(plan.folder, since=began)):
         Console().print(table)
@@ -112,12 +112,12 @@ def _run_serially(plan: Plan, stop_at: int | None) -> bool:
         finished = run_serial(plan.settings, resume=plan.resume, stop=stop, stop_at=stop_at, display=display)
         asked = not stop.is_set()
     if not finished and asked:
-        say(f"stopped where --stop-at wanted it; to go on: {_to_go_on(plan)}")
+        say(f"stopped where --stop-at wanted it; to continue: {_to_continue(plan)}")
         raise typer.Exit
     return finished
 
 
-def _to_go_on(plan: Plan) -> str:
+def _to_continue(plan: Plan) -> str:
     command = f"{program('athrl')} train --resume {plan.folder}"
     folder = os.environ.get(VARIABLE)
     kept = plan.settings.network.certificates or plan.settings.serial.enabled
@@ -125,7 +125,7 @@ def _to_go_on(plan: Plan) -> str:
 
 
 def _require_fitting(plan: Plan, actors: int | None, stop_at: int | None) -> None:
-    """Refuse options that the kind of run has no use for, and to go on with a run as one of another kind."""
+    """Refuse options that the kind of run has no use for, and to continue a run as one of another kind."""
     serial = plan.settings.serial.enabled
     if serial and actors is not None:
         raise CommandError("a serial run has one actor, in its own process: leave --actors out")
@@ -139,7 +139,7 @@ def _require_fitting(plan: Plan, actors: int | None, stop_at: int | None) -> Non
             f"{plan.folder} is a serial run and goes on as one only: leave serial.enabled out"
             if began_serial
             else f"{plan.folder} is a distributed run, whose checkpoints hold no environments: "
-            "go on without --serial"
+            "continue without --serial"
         )
     decisions, wanted = compared_decisions(plan.folder), plan.settings.run.environment_steps
     if not serial and decisions >= wanted:
@@ -160,7 +160,7 @@ def _plan(run_file: Path | None, given: list[str], name: str | None, resume: str
     free = runs.unused_name(settings)
     if free != settings.run.name:
         say(
-            f"{runs.run_folder(settings)} holds a run already, --resume {settings.run.name} goes on with it; "
+            f"{runs.run_folder(settings)} holds a run already, --resume {settings.run.name} continues it; "
             f"this one is {free}"
         )
         given = [*given, f"run.name={free}"]

@@ -4,7 +4,7 @@ The intention planner decides I in [0, 2]: left, straight on, right, and everyth
 planner sees I and decides target speed and waypoint. Both learn off-policy from the same experience. With s
 what a level sees and remembers, r its reward, Q' and pi' its target networks:
 
-    critics      Q_h(s, I)     ->  r_h + discount * Q_h'(s', pi_h'(s'))
+    critics      Q_h(s, I)     ->  Q_l(s, I, pi_l(s, I)), or r_h + discount * Q_h'(s', pi_h'(s'))  (the paper)
                  Q_l(s, I, a)  ->  r_l + discount * Q_l'(s', I', pi_l'(s', I')),   I' = pi_h'(s')
     trajectory   maximise  Q_l(s, I, pi_l(s, I))
     intention    maximise  Q_h(s, pi_h(s)) + intention_gradient * Q_l(s, pi_h(s), pi_l(s, pi_h(s)))
@@ -16,10 +16,10 @@ README.md beside it lists the deviations from the paper and the settings that un
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 from athrl_spaces import WAYPOINT, Continuous, Limits, Noise
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from athrl_planners.planner import LevelPlan, Planner
 from athrl_planners.settings import ActorCriticSettings
@@ -51,6 +51,12 @@ class AtHRLSettings(ActorCriticSettings):
         description="What the intention planner is paid, r_h; task: the same as the trajectory planner; "
         "progress: that without what steering costs, the terms steer and lateral, as it does not steer.",
     )
+    intention_target: Literal["trajectory", "experience"] = Field(
+        default="trajectory",
+        description="What the intention's critics learn; experience: rewards and their own next value, the "
+        "paper, in which the noise of the trajectory planner counts for ever; trajectory: what the "
+        "trajectory critics say of the decision that the trajectory planner would make.",
+    )
     intention_every: int = Field(
         default=1,
         ge=1,
@@ -66,6 +72,15 @@ class AtHRLSettings(ActorCriticSettings):
         description="What the trajectory planner sees; near route: the route only up to a few metres ahead, "
         "so that a branch has to come from the intention.",
     )
+
+    @model_validator(mode="after")
+    def _check_what_the_intention_is_worth(self) -> Self:
+        if self.intention_reward != "task" and self.intention_target == "trajectory":
+            raise ValueError(
+                f'planner.intention_reward = "{self.intention_reward}": should go with '
+                'planner.intention_target = "experience", as trajectory critics know the task\'s reward alone'
+            )
+        return self
 
 
 class AtHRL(Planner):
@@ -94,6 +109,7 @@ class AtHRL(Planner):
                 gradient_from_below=settings.intention_gradient,
                 head_features=settings.intention_features,
                 rewarded=PROGRESS if settings.intention_reward == "progress" else (),
+                value_from="below" if settings.intention_target == "trajectory" else "experience",
             ),
             LevelPlan("trajectory", trajectory, settings.update_rule, view=settings.trajectory_view),
         )

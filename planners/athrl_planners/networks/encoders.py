@@ -17,10 +17,10 @@ PAPER_FEATURES = 256
 
 
 class PixelConv2d(nn.Conv2d):
-    """A convolution of pixels 0..255 as if they were 0..1: scaling its weights costs less than theirs."""
+    """A convolution of pixels 0..255 as if they were 0..1: scaling weights costs less than scaling pixels."""
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """[n, channels, height, width] -> [n, width, ...]."""
+        """[n, channels, height, width] -> [n, channels of its own, ...]."""
         return self._conv_forward(pixels, self.weight * (1 / 255), self.bias)
 
 

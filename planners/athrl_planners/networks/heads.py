@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 
 class Head(nn.Sequential):
-    """Two hidden layers."""
+    """Two hidden layers: [n, inputs] -> [n, outputs]."""
 
     def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
         super().__init__(

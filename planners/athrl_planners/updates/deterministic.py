@@ -106,7 +106,7 @@ class DeterministicRule(ContinuousRule):
         if self._target_noise:
             noise = self.noise.normal_like(action).clamp(-NOISE_CLIP, NOISE_CLIP) * self._target_noise
             action = (action + noise).clamp(-1, 1)
-        return Step(action, self.counts(target, context, above, action), None)
+        return Step(action, self.target_output(target, context, above, action), None)
 
     def objective(
         self, networks: LevelNetworks, context: Tensor, above: Tensor, penalised: bool = True

@@ -116,8 +116,8 @@ class UpdateRule(ABC, nn.Module):
         """What the actor climbs, only where there is one; without its penalties what a level above climbs."""
         raise NotImplementedError
 
-    def counts(self, target: LevelNetworks, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
-        """What target critics say about settled decisions: of two the smaller, [n, outputs]."""
+    def target_output(self, target: LevelNetworks, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
+        """What target critics say about decisions [n, encoded], of two the smaller: [n, outputs]."""
         return self.smaller([self.value_of(critic, context, above, taken) for critic in target.critics])
 
     def smaller(self, outputs: list[Tensor]) -> Tensor:

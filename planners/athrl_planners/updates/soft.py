@@ -54,7 +54,7 @@ class SoftRule(ContinuousRule):
         """A random action of the target actor and what target critics say about it, with its entropy."""
         assert target.actor is not None
         action, log_probability, _ = self._sample(target.actor(contexts[0], above).float())
-        output = self.counts(target, contexts[0], above, action)
+        output = self.target_output(target, contexts[0], above, action)
         return Step(action, output, -self.log_temperature.detach().exp() * log_probability)
 
     def objective(

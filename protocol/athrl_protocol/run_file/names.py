@@ -37,9 +37,7 @@ class KnownNames:
             return
         if name in self._sections:
             first = next(setting for setting in self._settings if setting.startswith(f"{name}."))
-            raise RunFileError(
-                f"{place}: {name} is a section, should be one of its settings, such as {first}"
-            )
+            raise RunFileError(f"{place}: {name} is no setting but a section of them, such as {first}")
         if section == "planner" and key:
             if not declared_planners():
                 return

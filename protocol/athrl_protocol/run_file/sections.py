@@ -37,7 +37,7 @@ class RunSection(Section):
         description="Root of the tree of seeds: run, service, environment, episode.",
     )
     environment_steps: int = Field(
-        default=400_000, ge=1, description="Decisions of all actors together after which the run ends."
+        default=900_000, ge=1, description="Decisions of all actors together after which the run ends."
     )
     folder: str = Field(default="runs", min_length=1, description="Folder that holds the run's folder.")
 

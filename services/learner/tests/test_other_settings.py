@@ -50,8 +50,8 @@ def test_setting_that_the_checkpoint_does_not_fit_is_named_with_both_values(run_
 
 def test_run_whose_level_was_paid_otherwise_is_refused(run_file, stopped):
     folder = run_learner(run_file, stop=stopped).folder
-    line = refusal(with_planner(run_file, intention_reward="progress"), folder, stopped)
-    assert line.endswith("; planner.intention_reward was 'task' and is 'progress'")
+    other = with_planner(run_file, intention_reward="progress", intention_target="experience")
+    assert "planner.intention_reward was 'task' and is 'progress'" in refusal(other, folder, stopped)
 
 
 @pytest.mark.parametrize("checkpoints", ["there", "removed"])
