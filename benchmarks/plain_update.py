@@ -89,9 +89,9 @@ class Networks(nn.Module):
         self.trunk = Trunk(
             seen.image_size, len(seen.channels), seen.motion_size, settings.hidden_features, units
         )
-        sizes = (settings.head_features, settings.atoms)
-        self.intention = Level(self.trunk.context_size, 0, 1, *sizes)
-        self.trajectory = Level(self.trunk.context_size, 1, 2, *sizes)
+        context, atoms = self.trunk.context_size, settings.atoms
+        self.intention = Level(context, 0, 1, settings.intention_features, atoms)
+        self.trajectory = Level(context, 1, 2, settings.head_features, atoms)
 
     def level(self, name: str) -> Level:
         """By its name."""
@@ -127,7 +127,7 @@ class PlainUpdate:
         self.critic_optimiser = torch.optim.Adam(self.critic_parameters, lr=rate)
         self.actor_optimiser = torch.optim.Adam(self.actor_parameters, lr=rate)
         self.random = torch.Generator(self.device)
-        self.random.set_state(agent.state.random.get_state())
+        self.random.set_state(agent.state.noise.generators[0].get_state())
         low, high = self.settings.value_min, self.settings.value_max
         self.support = torch.linspace(low, high, self.settings.atoms, device=self.device)
         levels = agent.description.levels
@@ -159,6 +159,8 @@ class PlainUpdate:
         above = contexts[:, :0]
         for name in LEVELS:
             level, taken = self.networks.level(name), data.taken[name]
+            if name == "intention":
+                targets[name] = self._worth(contexts.detach(), taken)
             each = [
                 -(targets[name] * functional.log_softmax(level.ask(critic, contexts, above, taken), 1)).sum(1)
                 for critic in range(2)
@@ -171,17 +173,29 @@ class PlainUpdate:
         self.critic_optimiser.step()
         return contexts, losses
 
+    @torch.no_grad()
+    def _worth(self, contexts: Tensor, intention: Tensor) -> Tensor:
+        """What the trajectory critics say of the trajectory planner's decision under an intention."""
+        level = self.networks.trajectory
+        action = self._smoothed(torch.tanh(level.decide(contexts, intention)))
+        return self._smaller(level, contexts, intention, action).softmax(1)
+
+    def _smoothed(self, action: Tensor) -> Tensor:
+        noise = torch.randn(action.shape, generator=self.random, device=self.device).clamp(-2.5, 2.5)
+        return (action + self.settings.td3_target_noise * noise).clamp(-1, 1)
+
+    def _smaller(self, level: Level, contexts: Tensor, above: Tensor, action: Tensor) -> Tensor:
+        first, second = (level.ask(critic, contexts, above, action) for critic in range(2))
+        return torch.where((self._mean(first) < self._mean(second))[:, None], first, second)
+
     def _targets(self, data: Decisions) -> dict[str, Tensor]:
         contexts = data.following(self.target.trunk)
         targets = {}
         above = contexts[:, :0]
         for name in LEVELS:
             level = self.target.level(name)
-            action = torch.tanh(level.decide(contexts, above))
-            noise = torch.randn(action.shape, generator=self.random, device=self.device).clamp(-2.5, 2.5)
-            action = (action + self.settings.td3_target_noise * noise).clamp(-1, 1)
-            first, second = (level.ask(critic, contexts, above, action) for critic in range(2))
-            smaller = torch.where((self._mean(first) < self._mean(second))[:, None], first, second)
+            action = self._smoothed(torch.tanh(level.decide(contexts, above)))
+            smaller = self._smaller(level, contexts, above, action)
             targets[name] = self._projected(data.reward[name], data.discount, smaller.softmax(1))
             above = torch.cat([above, action], 1)
         return targets
@@ -197,8 +211,10 @@ class PlainUpdate:
             gain = gain - self.settings.saturation_penalty * raw.square().sum(1)
             if number == 0:
                 below = self.networks.trajectory
+                below.requires_grad_(False)  # it learns from its own value alone
                 followed = torch.tanh(below.decide(contexts, action))
                 joint = self._mean(below.ask(0, contexts, action, followed))
+                below.requires_grad_(True)
                 gain = gain + self.settings.intention_gradient * joint
             losses[f"{name}/actor_loss"] = -(gain * data.weights).sum()
             above = torch.cat([above, data.taken[name]], 1)

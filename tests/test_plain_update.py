@@ -57,7 +57,8 @@ def test_plain_update_has_the_same_losses(memory: str) -> None:
     from benchmarks.plain_update import PlainUpdate
 
     torch.set_num_threads(1)
-    settings = {"memory": memory, "hidden_features": 24, "head_features": 32, "recurrent_features": 8}
+    settings = {"memory": memory, "hidden_features": 24, "head_features": 32, "intention_features": 16}
+    settings["recurrent_features"] = 8
     agent = make_agent("athrl", {**settings, "learning_rate": 1e-3}, seed=3)
     plain, replay = PlainUpdate(agent), filled(agent)
     compared = 0

@@ -171,9 +171,11 @@ def test_run_that_is_finished_is_named_with_what_makes_it_longer(command) -> Non
     folder.mkdir(parents=True)
     settings = command.run("run-file", seconds=SECONDS).stdout
     (folder / "run.toml").write_text(settings)
-    (folder / "evaluation.json").write_text('{"environment_steps": 400001}')
+    (folder / "evaluation.json").write_text('{"environment_steps": 900001}')
     result = command.run("train", "--resume", "done", seconds=SECONDS)
-    assert_one_line(result, "runs/done is finished", "400001 of 400000", "--set run.environment_steps=800000")
+    assert_one_line(
+        result, "runs/done is finished", "900001 of 900000", "--set run.environment_steps=1800000"
+    )
 
 
 def test_port_in_use_is_named(command, tiny: list[str], port: int) -> None:

@@ -69,3 +69,18 @@ def test_every_policy_of_the_package_is_what_its_card_says() -> None:
     for name, card in shipped_policies.shipped_policies().items():
         assert load_policy(shipped_policies.shipped_policy(name)).description.planner == card.planner
         assert json.dumps(card.scores)
+
+
+@pytest.mark.parametrize("name", shipped_policies.shipped_names())
+def test_policy_of_this_package_drives_as_its_card_says(name: str) -> None:
+    card = shipped_policies.shipped_policies()[name]
+    file = shipped_policies.shipped_policy(name)
+    assert load_policy(file).description.planner == card.planner
+    # A dozen episodes are far fewer than the card's, so only what is plainly worse is told.
+    scores = evaluate_driver(file, environment=EnvironmentSection(), episodes=12, seed=900_000)
+    assert scores.return_mean + scores.return_ci95 > 0.9 * card.scores["policy"]["return_mean"]
+    assert scores.return_mean > 0.8 * card.scores["rule-based"]["return_mean"]
+
+
+def test_town03_comes_with_this_package() -> None:
+    assert "town03" in shipped_policies.shipped_names()

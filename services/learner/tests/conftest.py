@@ -48,6 +48,7 @@ SETTINGS = (
     "run.environment_steps=400",
     "planner.hidden_features=16",
     "planner.head_features=16",
+    "planner.intention_features=16",
     "planner.atoms=11",
     "planner.memory=lstm",
     "planner.recurrent_features=8",

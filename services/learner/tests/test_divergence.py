@@ -29,22 +29,24 @@ def longer(run_file: RunFile) -> RunFile:
 def poison(monkeypatch: pytest.MonkeyPatch, loss: str) -> None:
     """Have the critics' or the actors' loss be no number from some update on."""
     calls = []
-    critic_loss, actor_loss = agent.critic_loss, agent.actor_loss
+    critic_loss, actor_losses = agent.critic_loss, agent.actor_losses
 
     def poisoned_critic_loss(*arguments: object) -> object:
         calls.append(None)
         result = critic_loss(*arguments)
         return result._replace(loss=result.loss * float("nan")) if len(calls) > GOOD_UPDATES else result
 
-    def poisoned_actor_loss(*arguments: object) -> object:
+    def poisoned_actor_losses(*arguments: object) -> object:
         calls.append(None)
-        value, metrics = actor_loss(*arguments)
-        return (value * float("nan"), metrics) if len(calls) > GOOD_UPDATES else (value, metrics)
+        losses, metrics = actor_losses(*arguments)
+        if len(calls) > GOOD_UPDATES:
+            losses = {level: loss * float("nan") for level, loss in losses.items()}
+        return losses, metrics
 
     if loss == "critic":
         monkeypatch.setattr(agent, "critic_loss", poisoned_critic_loss)
     else:
-        monkeypatch.setattr(agent, "actor_loss", poisoned_actor_loss)
+        monkeypatch.setattr(agent, "actor_losses", poisoned_actor_losses)
 
 
 def all_finite(state: object) -> bool:
