@@ -165,7 +165,12 @@ def test_last_decision_of_a_short_rest_is_trained(
 def test_training_starts_from_each_levels_own_stored_state(
     new_agent: NewAgent, new_sequence: NewSequence, stack: Stack, after: After
 ) -> None:
-    alone = {"shared_trunk": False, "intention_gradient": 0.0, "td3_actor_delay": 1}
+    alone = {
+        "shared_trunk": False,
+        "intention_gradient": 0.0,
+        "intention_target": "experience",
+        "td3_actor_delay": 1,
+    }
     agent = new_agent(**MEMORY, **alone)
     batch = stack([new_sequence(agent, seed) for seed in range(4)])
     states = {**batch.initial_state, "trajectory": batch.initial_state["trajectory"] + np.float32(0.3)}
@@ -177,11 +182,12 @@ def test_training_starts_from_each_levels_own_stored_state(
 def test_each_level_learns_from_its_own_reward(
     new_agent: NewAgent, new_sequence: NewSequence, stack: Stack, after: After
 ) -> None:
-    agent = new_agent(**MEMORY, shared_trunk=False)
+    own = {"shared_trunk": False, "intention_target": "experience"}
+    agent = new_agent(**MEMORY, **own)
     batch = stack([new_sequence(agent, seed) for seed in range(4)])
     other = replace(batch, rewards={**batch.rewards, "intention": batch.rewards["intention"] + 30})
     # A norm that nothing reaches: all critics share one, so one's gradients would scale the other's.
-    one, two = (after(each, updates=1, shared_trunk=False, gradient_norm=1e9) for each in (batch, other))
+    one, two = (after(each, updates=1, gradient_norm=1e9, **own) for each in (batch, other))
     mine, yours = ("trunks.trajectory", "levels.trajectory"), ("trunks.intention", "levels.intention")
     assert equal(part(one, *mine), part(two, *mine))
     assert not equal(part(one, *yours), part(two, *yours))

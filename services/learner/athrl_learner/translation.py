@@ -13,6 +13,7 @@ from athrl_protocol import RunFile
 from athrl_spaces import Limits, Observation
 
 from athrl_learner.device import share_threads, training_device, training_threads, update_precision
+from athrl_learner.errors import WrongPlanner
 from athrl_learner.experience import ChunkReader
 from athrl_learner.limiter import SamplesPerInsert
 from athrl_learner.segments import SegmentLog
@@ -38,18 +39,31 @@ def limits(run_file: RunFile) -> Limits:
 
 
 def make_agent(run_file: RunFile) -> Agent:
-    """A fresh planner as the run file describes it; the log says in what precision it computes, and why."""
-    agent = make_planner_agent(
-        run_file.planner.kind,
-        run_file.planner.values(),
-        observation=observation(run_file),
-        limits=limits(run_file),
-        seed=_seed(run_file, _AGENT),
-        device=training_device(run_file),
-        burn_in=run_file.replay.burn_in,
-        precision=update_precision(run_file),
-        threads=training_threads(run_file),
-    )
+    """A fresh planner as the run file describes it; the log says in what precision it computes, and why.
+
+    Raises:
+        WrongPlanner: its levels do not make a planner, or look farther ahead than a sequence is long.
+    """
+    try:
+        agent = make_planner_agent(
+            run_file.planner.kind,
+            run_file.planner.values(),
+            observation=observation(run_file),
+            limits=limits(run_file),
+            seed=_seed(run_file, _AGENT),
+            device=training_device(run_file),
+            burn_in=run_file.replay.burn_in,
+            precision=update_precision(run_file),
+            threads=training_threads(run_file),
+        )
+    except ValueError as error:
+        raise WrongPlanner(f"planner.kind = {run_file.planner.kind}: {error}") from None
+    ahead, length = max(agent.prepare.horizons), run_file.replay.sequence_length
+    if ahead > length:
+        raise WrongPlanner(
+            f"the planner looks {ahead} decisions ahead, in sequences of replay.sequence_length = {length}: "
+            "should be at most that (planner.n_step, and for how long a level holds its decision)"
+        )
     share_threads(run_file, agent)
     return agent
 

@@ -139,3 +139,14 @@ def test_planners_are_known_to_whoever_resumes_without_declaring_any(run_file, s
         assert set(declared_planners()) >= {"athrl", "hddpg", "ddpg", "hdqn"}
     finally:
         declare_planners(known)
+
+
+@pytest.mark.parametrize("setting", [{"n_step": 6}, {"intention_every": 6}])
+def test_planner_that_looks_beyond_its_sequences_is_refused_before_anything_is_written(
+    run_file, stopped, setting
+):
+    with pytest.raises(
+        LearnerError, match=r"looks 6 decisions ahead, in sequences of replay\.sequence_length = 5"
+    ):
+        run_learner(with_planner(run_file, **setting), stop=stopped)
+    assert not (Path(run_file.run.folder) / run_file.run.name / "run.toml").exists()
