@@ -177,8 +177,11 @@ class PlainUpdate:
     def _worth(self, contexts: Tensor, intention: Tensor) -> Tensor:
         """What the trajectory critics say of the trajectory planner's decision under an intention."""
         level = self.networks.trajectory
-        action = self._smoothed(torch.tanh(level.decide(contexts, intention)))
+        action = self._smoothed(self._reached(level.decide(contexts, intention)))
         return self._smaller(level, contexts, intention, action).softmax(1)
+
+    def _reached(self, raw: Tensor) -> Tensor:
+        return (self.settings.action_reach * torch.tanh(raw)).clamp(-1, 1)
 
     def _smoothed(self, action: Tensor) -> Tensor:
         noise = torch.randn(action.shape, generator=self.random, device=self.device).clamp(-2.5, 2.5)
@@ -194,7 +197,7 @@ class PlainUpdate:
         above = contexts[:, :0]
         for name in LEVELS:
             level = self.target.level(name)
-            action = self._smoothed(torch.tanh(level.decide(contexts, above)))
+            action = self._smoothed(self._reached(level.decide(contexts, above)))
             smaller = self._smaller(level, contexts, above, action)
             targets[name] = self._projected(data.reward[name], data.discount, smaller.softmax(1))
             above = torch.cat([above, action], 1)
@@ -206,13 +209,13 @@ class PlainUpdate:
         for number, name in enumerate(LEVELS):
             level = self.networks.level(name)
             raw = level.decide(contexts, above)
-            action = torch.tanh(raw)
+            action = self._reached(raw)
             gain = self._mean(level.ask(0, contexts, above, action))
             gain = gain - self.settings.saturation_penalty * raw.square().sum(1)
             if number == 0:
                 below = self.networks.trajectory
                 below.requires_grad_(False)  # it learns from its own value alone
-                followed = torch.tanh(below.decide(contexts, action))
+                followed = self._reached(below.decide(contexts, action))
                 joint = self._mean(below.ask(0, contexts, action, followed))
                 below.requires_grad_(True)
                 gain = gain + self.settings.intention_gradient * joint

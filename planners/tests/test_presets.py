@@ -42,6 +42,8 @@ OF_ACTORS = {
     "noise_high": 0.2,
     "noise_damping": 0.15,
     "saturation_penalty": 0.0,
+    "action_reach": 1.0,
+    "caution": 0.0,
 }
 OF_HDQN = {
     "discount": 0.95,

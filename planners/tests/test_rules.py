@@ -113,7 +113,7 @@ def next_step(rule: UpdateRule, actor: Tensor, *critics: Says) -> Any:
 
 def test_ddpg_values_the_target_actors_action_as_it_is() -> None:
     critic = Says(torch.tensor([[3.0]]))
-    step = next_step(numbers("ddpg"), torch.tensor([[0.3, -2.0]]), critic)
+    step = next_step(numbers("ddpg", action_reach=1.0), torch.tensor([[0.3, -2.0]]), critic)
     torch.testing.assert_close(step.action, torch.tanh(torch.tensor([[0.3, -2.0]])))
     assert torch.equal(critic.asked[0][-1], step.action)
     assert float(step.output) == 3
@@ -155,6 +155,32 @@ def test_deterministic_actor_climbs_the_first_critic_less_its_penalty() -> None:
     objective = rule.objective(networks, NOTHING, NOTHING)
     assert float(objective.gain) == pytest.approx(3 - 0.5 * (0.09 + 4))
     assert float(rule.objective(networks, NOTHING, NOTHING, penalised=False).gain) == 3
+
+
+@pytest.mark.parametrize("reach", [1.0, 1.1])
+def test_a_reach_beyond_the_range_lets_an_actor_decide_its_ends(reach: float) -> None:
+    rule = numbers("td3", action_reach=reach, td3_target_noise=0.0)
+    raw = torch.tensor([[-1.6, 0.5]])  # tanh(-1.6) is -0.92
+    networks = LevelNetworks(Says(raw), [Says(torch.tensor([[3.0]]))])
+    expected = torch.tensor([[max(-1.0, reach * math.tanh(-1.6)), reach * math.tanh(0.5)]])
+    torch.testing.assert_close(next_step(rule, raw, Says(torch.zeros(1, 1))).action, expected)
+    torch.testing.assert_close(rule.objective(networks, NOTHING, NOTHING).action, expected)
+    decided = rule.decide(Says(raw), NOTHING, NOTHING, None)
+    torch.testing.assert_close(decided, rule.decode(expected))
+    assert (float(decided[0, 0]) == 0) is (reach > 1)  # the car stands
+
+
+def test_a_cautious_actor_climbs_the_worst_returns_alone() -> None:
+    settings = ActorCriticSettings(
+        atoms=3, value_min=-10.0, value_max=10.0, caution=0.5, saturation_penalty=0.0
+    )
+    plan = LevelPlan("trajectory", (SPEED, ANGLE), "td3")
+    rule = make_rule("td3")(
+        plan, settings, make_values(settings), (1, 0), NoiseSource(1, torch.device("cpu"))
+    )
+    critic = Says(torch.tensor([[0.2, 0.2, 0.6]]).log())  # the worst half: -10 by 0.2, 0 by 0.2, 10 by 0.1
+    objective = rule.objective(LevelNetworks(Says(torch.zeros(1, 2)), [critic]), NOTHING, NOTHING)
+    assert float(objective.gain) == pytest.approx((0.2 * -10 + 0.1 * 10) / 0.5)
 
 
 def soft_case() -> tuple[Tensor, torch.distributions.Distribution]:

@@ -2,9 +2,11 @@
 
     target      r + discount * min_i Q_i'(s', pi'(s') + clipped noise)
     actor       maximise  Q_1(s, pi(s)) - saturation_penalty * |output before the tanh|^2
+    decision    pi(s) = min(max(action_reach * tanh(output), -1), 1)
 
 DDPG has one critic, no noise on target actions and no delay of its actors. The penalty is ours: without it
-the tanh sticks at its ends within some hundred updates.
+the tanh sticks at its ends within some hundred updates. With it the ends are never reached, and a car that
+cannot decide on a speed of 0 creeps into the one that it waits for; so is the reach.
 """
 
 from __future__ import annotations
@@ -91,7 +93,7 @@ class DeterministicRule(ContinuousRule):
 
     def decide(self, deciding: nn.Module, context: Tensor, above: Tensor, noise: Tensor | None) -> Tensor:
         """The actor's action with noise in physical units, within its range."""
-        action = self.decode(torch.tanh(deciding(context, above)))
+        action = self.decode(self._reach(deciding(context, above)))
         if noise is not None:
             action = action + noise
         return self.decode(self.encode(action).clamp(-1, 1))
@@ -102,7 +104,7 @@ class DeterministicRule(ContinuousRule):
         """The target actor's action, with clipped noise in TD3, and what target critics say about it."""
         assert target.actor is not None
         context = contexts[0]
-        action = torch.tanh(target.actor(context, above).float())
+        action = self._reach(target.actor(context, above).float())
         if self._target_noise:
             noise = self.noise.normal_like(action).clamp(-NOISE_CLIP, NOISE_CLIP) * self._target_noise
             action = (action + noise).clamp(-1, 1)
@@ -114,7 +116,14 @@ class DeterministicRule(ContinuousRule):
         """The first critic's value of the actor's action, less the penalty on saturation."""
         assert networks.actor is not None
         raw = networks.actor(context, above).float()
-        action = torch.tanh(raw)
-        value = self.values.mean(self.value_of(networks.critics[0], context, above, action))
+        action = self._reach(raw)
+        output = self.value_of(networks.critics[0], context, above, action)
+        value = self.values.mean_of_worst(output, 1 - self.settings.caution)
         penalty = self.settings.saturation_penalty * raw.square().sum(dim=1) if penalised else 0.0
         return Objective(value - penalty, action, raw)
+
+    def _reach(self, raw: Tensor) -> Tensor:
+        """What an actor's output decides: [n, actions] in [-1, 1]."""
+        action = torch.tanh(raw)
+        reach = self.settings.action_reach
+        return action if reach == 1 else (action * reach).clamp(-1, 1)
