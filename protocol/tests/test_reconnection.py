@@ -15,7 +15,7 @@ from contextlib import ExitStack
 
 import pytest
 import zenoh
-from athrl_protocol import open_session
+from athrl_protocol import open_session, reconnection, session_care
 from athrl_protocol.session import open_router
 
 PATIENCE = 30.0
@@ -122,6 +122,18 @@ def test_connection_that_answers_is_left_alone(between: _OneWay) -> None:
     with open_session(connect=between.address, timeout=PATIENCE):
         time.sleep(LEFT_ALONE)
         assert between.came == OPENED
+
+
+def test_session_closes_while_its_connection_is_asked_about(
+    between: _OneWay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Zenoh refuses the end of a `with` block while another thread is inside the session."""
+    monkeypatch.setattr(reconnection, "ASK_SECONDS", 0.0)
+    monkeypatch.setattr(reconnection, "AGAIN_SECONDS", 0.0)
+    monkeypatch.setattr(session_care, "TOGETHER_SECONDS", 0.0)
+    for _ in range(20):
+        with open_session(connect=between.address, timeout=PATIENCE):
+            time.sleep(0.05)
 
 
 _CLIENT = """
