@@ -115,9 +115,7 @@ def _asked(policy: OnnxPolicy) -> dict[str, float]:
     spread = float(np.concatenate(intentions).std())
     return {
         "intention_deviation": round(spread, 4),
-        **{
-            f"change_of_{name}": round(float(value), 4) for name, value in zip(names, mean, strict=True)
-        },
+        **{f"change_of_{name}": round(float(value), 4) for name, value in zip(names, mean, strict=True)},
     }
 
 

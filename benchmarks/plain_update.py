@@ -144,14 +144,19 @@ class PlainUpdate:
             for group in optimiser.param_groups:
                 group["lr"] = rate
         data = Decisions(self, batch)
-        contexts, losses = self._train_critics(data)
+        contexts, losses = self._critic_losses(data)
         self.updates += 1
-        if self.updates % self.settings.td3_actor_delay == 0:
-            losses |= self._train_actors(data, contexts.detach())
+        climbing = self.updates % self.settings.td3_actor_delay == 0
+        if climbing:  # the critics as they are before their step
+            losses |= self._actor_gradients(data, contexts.detach())
+        self._step_critics(losses)
+        if climbing:
+            nn.utils.clip_grad_norm_(self.actor_parameters, self.settings.gradient_norm)
+            self.actor_optimiser.step()
         self._follow()
         return {name: float(loss.detach()) for name, loss in losses.items()}
 
-    def _train_critics(self, data: Decisions) -> tuple[Tensor, dict[str, Tensor]]:
+    def _critic_losses(self, data: Decisions) -> tuple[Tensor, dict[str, Tensor]]:
         with torch.no_grad():
             targets = self._targets(data)
         contexts = data.now(self.networks.trunk)
@@ -167,11 +172,13 @@ class PlainUpdate:
             ]
             losses[f"{name}/critic_loss"] = ((each[0] + each[1]) * data.weights).sum()
             above = torch.cat([above, taken], 1)
+        return contexts, losses
+
+    def _step_critics(self, losses: dict[str, Tensor]) -> None:
         self.critic_optimiser.zero_grad()
-        sum(losses.values()).backward()
+        sum(loss for name, loss in losses.items() if name.endswith("critic_loss")).backward()
         nn.utils.clip_grad_norm_(self.critic_parameters, self.settings.gradient_norm)
         self.critic_optimiser.step()
-        return contexts, losses
 
     @torch.no_grad()
     def _worth(self, contexts: Tensor, intention: Tensor) -> Tensor:
@@ -198,12 +205,13 @@ class PlainUpdate:
         for name in LEVELS:
             level = self.target.level(name)
             action = self._smoothed(self._reached(level.decide(contexts, above)))
-            smaller = self._smaller(level, contexts, above, action)
-            targets[name] = self._projected(data.reward[name], data.discount, smaller.softmax(1))
+            if name == "trajectory":  # what the intention is worth is asked here and now
+                smaller = self._smaller(level, contexts, above, action)
+                targets[name] = self._projected(data.reward[name], data.discount, smaller.softmax(1))
             above = torch.cat([above, action], 1)
         return targets
 
-    def _train_actors(self, data: Decisions, contexts: Tensor) -> dict[str, Tensor]:
+    def _actor_gradients(self, data: Decisions, contexts: Tensor) -> dict[str, Tensor]:
         losses = {}
         above = contexts[:, :0]
         for number, name in enumerate(LEVELS):
@@ -222,9 +230,9 @@ class PlainUpdate:
             losses[f"{name}/actor_loss"] = -(gain * data.weights).sum()
             above = torch.cat([above, data.taken[name]], 1)
         self.actor_optimiser.zero_grad()
-        sum(losses.values()).backward()
-        nn.utils.clip_grad_norm_(self.actor_parameters, self.settings.gradient_norm)
-        self.actor_optimiser.step()
+        gradients = torch.autograd.grad(sum(losses.values()), self.actor_parameters)
+        for parameter, gradient in zip(self.actor_parameters, gradients, strict=True):
+            parameter.grad = gradient
         return losses
 
     @torch.no_grad()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from torch import Tensor, nn
 from athrl_planners.captured import CapturedUpdate
 from athrl_planners.crew import Crew
 from athrl_planners.diverged import TrainingDiverged
-from athrl_planners.losses import CriticLoss, actor_losses, critic_loss
+from athrl_planners.losses import actor_losses, critic_loss
 from athrl_planners.planner import Planner
 from athrl_planners.policy import PolicyNetwork, PolicyOutput
 from athrl_planners.precision import autocast
@@ -24,6 +25,15 @@ from athrl_planners.training_state import TrainingState
 from athrl_planners.updates.adam import Adam
 
 Gradients = tuple[Tensor, ...]
+
+
+class PartGradients(NamedTuple):
+    """What an update needs of one part of its batch: gradients for all parameters, metrics, errors."""
+
+    critics: Gradients
+    actors: Gradients
+    metrics: dict[str, Tensor]
+    errors: Tensor
 
 
 class Agent:
@@ -149,37 +159,39 @@ class Agent:
         self, data: TrainingBatch, rate: float | Tensor, with_actors: bool
     ) -> tuple[dict[str, Tensor], Tensor]:
         """An update without its counter; on a GPU it waits for nothing, so that it can be recorded."""
-        state, parts = self.state, data.split(self._crew.threads)
-        critics = self._crew.each(self._critic_gradients, parts)
-        metrics = _summed([part.metrics for part, _ in critics])
+        state = self.state
+        results = self._crew.each(partial(self._gradients, with_actors), data.split(self._crew.threads))
+        metrics = _summed([part.metrics for part in results])
+        gradients = [part.critics for part in results]
         metrics["critic_gradient"] = self._step(
-            state.critic_optimiser, state.critic_parameters, [gradients for _, gradients in critics], rate
+            state.critic_optimiser, state.critic_parameters, gradients, rate
         )
         if with_actors:
-            contexts = [part.contexts for part, _ in critics]
-            actors = self._crew.each(self._actor_gradients, list(zip(parts, contexts, strict=True)))
-            metrics |= _summed([more for more, _ in actors])
+            gradients = [part.actors for part in results]
             metrics["actor_gradient"] = self._step(
-                state.actor_optimiser, state.actor_parameters, [gradients for _, gradients in actors], rate
+                state.actor_optimiser, state.actor_parameters, gradients, rate
             )
         state.update_targets()
-        return metrics, torch.cat([part.errors for part, _ in critics])
+        return metrics, torch.cat([part.errors for part in results])
 
-    def _critic_gradients(self, number: int, data: TrainingBatch) -> tuple[CriticLoss, Gradients]:
-        """The critics' loss on one part of a batch, and its gradients for all critics' parameters."""
+    def _gradients(self, with_actors: bool, number: int, data: TrainingBatch) -> PartGradients:
+        """The gradients of all losses on one part of a batch; actors climb the critics as they are now."""
         self.state.noise.use(number)
         with autocast(self.device, self.precision):
             critics = critic_loss(self.state, data)
         self._require_finite(critics.loss)
-        return critics, torch.autograd.grad(critics.loss, self.state.critic_parameters)
+        gradients = torch.autograd.grad(critics.loss, self.state.critic_parameters)
+        if not with_actors:
+            return PartGradients(gradients, (), critics.metrics, critics.errors)
+        metrics, actors = self._actor_gradients(data, critics.contexts)
+        return PartGradients(gradients, actors, critics.metrics | metrics, critics.errors)
 
     def _actor_gradients(
-        self, number: int, part: tuple[TrainingBatch, dict[str, Tensor]]
+        self, data: TrainingBatch, contexts: dict[str, Tensor]
     ) -> tuple[dict[str, Tensor], Gradients]:
         """Metrics of the actors on one part of a batch, and the gradients of each one's own loss."""
-        self.state.noise.use(number)  # the thread may have computed another part of the critics
         with autocast(self.device, self.precision):
-            losses, metrics = actor_losses(self.state, *part)
+            losses, metrics = actor_losses(self.state, data, contexts)
         gradients: list[Tensor] = []
         for level in self.state.levels:
             if level.name in losses:

@@ -1,6 +1,6 @@
 """Threads that compute the parts of an update side by side.
 
-Each computes whole layers on its share of the batch, and they wait for each other twice an update. Threads
+Each computes whole layers on its share of the batch, and they wait for each other once an update. Threads
 inside of each operation wait some hundred times, and whenever an actor or the evaluator needs a core for a
 moment, all of them do.
 """

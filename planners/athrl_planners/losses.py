@@ -48,10 +48,11 @@ def critic_loss(state: TrainingState, data: TrainingBatch) -> CriticLoss:
     above: list[Tensor] = []
     for number, level in enumerate(state.levels):
         context, part = contexts[state.trunk_of(level.name)], data.levels[level.name]
-        target = targets[level.name]
         if level.plan.value_from == "below":
             below = state.levels[number + 1]
             target = _worth(state, below, contexts[state.trunk_of(below.name)], [*above, part.taken])
+        else:
+            target = targets[level.name]
         seen = joined(above, context)
         outputs = [level.rule.value_of(critic, context, seen, part.taken) for critic in level.online.critics]
         losses = torch.stack([state.values.loss(output, target) for output in outputs])
@@ -103,12 +104,12 @@ def _worth(state: TrainingState, level: Level, context: Tensor, above: list[Tens
     seen = joined(above, context)
     step = level.rule.following(level.online, level.online, (context, context), seen)
     reward = torch.zeros(len(context), device=context.device) if step.bonus is None else step.bonus
-    return state.values.target(reward, torch.ones_like(reward), step.output)
+    return state.values.target(reward, torch.ones_like(reward), step.output())
 
 
 @torch.no_grad()
 def _targets(state: TrainingState, data: TrainingBatch) -> dict[str, Tensor]:
-    """Per level, what its critics are to say of the decisions that were taken."""
+    """What critics are to say of decisions, by level; one that learns from below is not among them."""
     target = {
         name: data.frames.following(trunk, data.states.get(name)) for name, trunk in state.target_trunks
     }
@@ -121,7 +122,8 @@ def _targets(state: TrainingState, data: TrainingBatch) -> dict[str, Tensor]:
         horizon: _Following(state, data, horizon, target, online)
         for horizon in {part.horizon for part in data.levels.values()}
     }
-    return {level.name: followers[data.levels[level.name].horizon].target(level) for level in state.levels}
+    learning = [level for level in state.levels if level.plan.value_from == "experience"]
+    return {level.name: followers[data.levels[level.name].horizon].target(level) for level in learning}
 
 
 class _Following:
@@ -143,13 +145,16 @@ class _Following:
         contexts = (self._target[name][self._horizon], self._online[name][self._horizon])
         seen = joined(above, contexts[0])
         step = level.rule.following(level.target, level.online, contexts, seen)
-        action, output = step.action, step.output
+        action, held = step.action, None
         if part.held is not None and part.in_force is not None:
             held, in_force = part.held[self._horizon].unsqueeze(1), part.in_force[self._horizon]
             action = torch.where(held, in_force, action)
-            output_in_force = level.rule.target_output(level.target, contexts[0], seen, in_force)
-            output = torch.where(held, output_in_force, output)
-        self._outputs[level.name] = (output, step.bonus)
+        if level.plan.value_from == "experience":
+            output = step.output()
+            if held is not None:
+                output_in_force = level.rule.target_output(level.target, contexts[0], seen, action)
+                output = torch.where(held, output_in_force, output)
+            self._outputs[level.name] = (output, step.bonus)
         return action
 
     def target(self, level: Level) -> Tensor:

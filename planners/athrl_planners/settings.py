@@ -145,13 +145,6 @@ class ActorCriticSettings(PlannerSettings):
         description="With ddpg and td3: factor on an actor's tanh before it is cut to its range; above 1 the "
         "ends of a range can be decided, such as to stand still. 1 is the paper.",
     )
-    caution: float = Field(
-        default=0.0,
-        ge=0,
-        lt=1,
-        description="With ddpg and td3: share of the best returns that actors leave out of account; 0: they "
-        "climb the mean, the paper. Only with distributional critics.",
-    )
     td3_actor_delay: int = Field(
         default=2, ge=1, le=1000, description="With td3: critic updates for each actor update."
     )
@@ -189,15 +182,6 @@ class ActorCriticSettings(PlannerSettings):
         le=1,
         description="Share of the noise that is forgotten at each decision; 1: independent of the last one.",
     )
-
-    @model_validator(mode="after")
-    def _check_caution(self) -> Self:
-        if self.caution and self.critic != "distributional":
-            raise ValueError(
-                f'planner.caution = {self.caution:g}: should be 0 with planner.critic = "{self.critic}", as '
-                "only a distributional critic knows the worst returns"
-            )
-        return self
 
     @model_validator(mode="after")
     def _check_noise(self) -> Self:

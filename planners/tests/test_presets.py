@@ -43,7 +43,6 @@ OF_ACTORS = {
     "noise_damping": 0.15,
     "saturation_penalty": 0.0,
     "action_reach": 1.0,
-    "caution": 0.0,
 }
 OF_HDQN = {
     "discount": 0.95,

@@ -60,7 +60,7 @@ def contexts_of(agent: Agent, sequence: Sequence, level: str) -> torch.Tensor:
 @torch.no_grad()
 def decide_and_value(level: Level, context: torch.Tensor, above: torch.Tensor) -> tuple[torch.Tensor, float]:
     """A target actor's decision [n] for one context, normalised, and what the target critic says of it."""
-    action = torch.tanh(level.target.actor(context[None], above[None]))
+    action = (1.1 * torch.tanh(level.target.actor(context[None], above[None]))).clamp(-1, 1)
     value = level.target.critics[0](context[None], above[None], action)
     return action[0], float(value)
 

@@ -66,16 +66,6 @@ def test_projection_has_the_right_mean_inside_the_support() -> None:
     torch.testing.assert_close(VALUES.target_mean(target), reward + 0.8 * VALUES.mean(logits))
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.97, 1.0])
-def test_mean_of_the_worst_is_that_of_as_many_draws(share: float) -> None:
-    logits = 2 * torch.randn(5, ATOMS, generator=torch.Generator().manual_seed(4))
-    found = VALUES.mean_of_worst(logits, share)
-    places = (np.arange(100_000) + 0.5) / 100_000 * share  # evenly drawn quantiles
-    for row, mean in zip(logits.softmax(dim=1).double().numpy(), found, strict=True):
-        quantiles = np.linspace(LOW, HIGH, ATOMS)[np.searchsorted(row.cumsum(), places)]
-        assert float(mean) == pytest.approx(quantiles.mean(), abs=1e-3)
-
-
 def test_what_lies_beyond_the_support_comes_to_its_ends() -> None:
     logits = torch.zeros(2, ATOMS)
     target = VALUES.target(torch.tensor([-100.0, 100.0]), torch.tensor([0.9, 0.9]), logits)

@@ -42,7 +42,7 @@ def test_target_is_the_smaller_trajectory_critics_value_of_its_own_decision(
         taken = data.levels["intention"].taken
         actor = trajectory.online.actor
         assert actor is not None
-        action = torch.tanh(actor(context, taken))
+        action = (1.1 * torch.tanh(actor(context, taken))).clamp(-1, 1)
         values = [critic(context, taken, action)[:, 0] for critic in trajectory.online.critics]
         wanted = torch.minimum(*values)
         said = intention.online.critics[0](context, joined([], context), taken)[:, 0]

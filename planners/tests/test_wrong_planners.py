@@ -100,12 +100,6 @@ def test_wrong_values_are_refused_by_name(key: str, value: Any) -> None:
             "cannot be mirrored",
         ),
         (
-            "athrl",
-            {"caution": 0.5, "critic": "scalar"},
-            'planner.caution = 0.5: should be 0 with planner.critic = "scalar", as only a distributional '
-            "critic knows the worst returns",
-        ),
-        (
             "hddpg",
             {"noise_low": 0.5},
             "planner.noise_low = 0.5: should be at most planner.noise_high = 0.4",

@@ -108,7 +108,7 @@ class DeterministicRule(ContinuousRule):
         if self._target_noise:
             noise = self.noise.normal_like(action).clamp(-NOISE_CLIP, NOISE_CLIP) * self._target_noise
             action = (action + noise).clamp(-1, 1)
-        return Step(action, self.target_output(target, context, above, action), None)
+        return Step(action, lambda: self.target_output(target, context, above, action), None)
 
     def objective(
         self, networks: LevelNetworks, context: Tensor, above: Tensor, penalised: bool = True
@@ -117,8 +117,7 @@ class DeterministicRule(ContinuousRule):
         assert networks.actor is not None
         raw = networks.actor(context, above).float()
         action = self._reach(raw)
-        output = self.value_of(networks.critics[0], context, above, action)
-        value = self.values.mean_of_worst(output, 1 - self.settings.caution)
+        value = self.values.mean(self.value_of(networks.critics[0], context, above, action))
         penalty = self.settings.saturation_penalty * raw.square().sum(dim=1) if penalised else 0.0
         return Objective(value - penalty, action, raw)
 

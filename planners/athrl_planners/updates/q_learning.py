@@ -70,7 +70,7 @@ class QLearningRule(UpdateRule):
         chooser = online.critics[0](contexts[1], above).float() if self.settings.double else outputs[0]
         best = self.values.mean(chooser).argmax(dim=1)
         action = functional.one_hot(best, self.encoded_size).to(torch.float32)
-        return Step(action, self.smaller([_of(output, action) for output in outputs]), None)
+        return Step(action, lambda: self.smaller([_of(output, action) for output in outputs]), None)
 
     def value_of(self, critic: nn.Module, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
         """What a critic says about choices [n, choices]: [n, outputs]."""

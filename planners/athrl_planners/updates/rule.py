@@ -7,6 +7,7 @@ output, `above` float32 [n, above] what the levels above have decided, perhaps o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -37,8 +38,8 @@ class Step(NamedTuple):
 
     action: Tensor
     """[n, encoded]"""
-    output: Tensor
-    """[n, outputs] of the target critic that counts."""
+    output: Callable[[], Tensor]
+    """Computes what the target critic that counts says: [n, outputs]."""
     bonus: Tensor | None
     """[n] added to the value, in scaled reward."""
 

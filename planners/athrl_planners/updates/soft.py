@@ -54,8 +54,8 @@ class SoftRule(ContinuousRule):
         """A random action of the target actor and what target critics say about it, with its entropy."""
         assert target.actor is not None
         action, log_probability, _ = self._sample(target.actor(contexts[0], above).float())
-        output = self.target_output(target, contexts[0], above, action)
-        return Step(action, output, -self.log_temperature.detach().exp() * log_probability)
+        bonus = -self.log_temperature.detach().exp() * log_probability
+        return Step(action, lambda: self.target_output(target, contexts[0], above, action), bonus)
 
     def objective(
         self, networks: LevelNetworks, context: Tensor, above: Tensor, penalised: bool = True

@@ -22,12 +22,6 @@ class ScalarValues(nn.Module):
         """[..., 1] -> the value [...]."""
         return output.squeeze(-1)
 
-    def mean_of_worst(self, output: Tensor, share: float) -> Tensor:
-        """A mean knows nothing of the worst returns: only a `share` of 1 is possible."""
-        if share != 1:
-            raise ValueError(f"the worst {share:g} of the returns: a scalar critic predicts only their mean")
-        return self.mean(output)
-
     def target(self, reward: Tensor, discount: Tensor, following: Tensor) -> Tensor:
         """reward [n] + discount [n] * the value of `following` [n, 1]."""
         return reward + discount * self.mean(following)
@@ -62,18 +56,6 @@ class DistributionalValues(nn.Module):
     def mean(self, output: Tensor) -> Tensor:
         """Logits [..., atoms] -> the value [...]."""
         return (output.softmax(dim=-1) * self.support).sum(dim=-1)
-
-    def mean_of_worst(self, output: Tensor, share: float) -> Tensor:
-        """Logits [..., atoms] -> the mean of the worst `share` of the returns (CVaR): [...].
-
-        Tang et al. 2019, "Worst Cases Policy Gradients".
-        """
-        if share == 1:
-            return self.mean(output)
-        probabilities = output.softmax(dim=-1)
-        worse = probabilities.cumsum(dim=-1) - probabilities  # than each atom
-        counted = torch.minimum(probabilities, (share - worse).clamp(min=0))
-        return (counted * self.support).sum(dim=-1) / share
 
     def target(self, reward: Tensor, discount: Tensor, following: Tensor) -> Tensor:
         """The distribution of reward [n] + discount [n] * what the logits `following` [n, atoms] say.
