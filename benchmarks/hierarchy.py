@@ -1,11 +1,12 @@
 """What makes the levels of atHRL differ, and whether the intention then matters.
 
-`python -m benchmarks.hierarchy` trains each variant with each seed, `athrl train --serial` on one core, as
-many at once as there are cores, and then intervenes: the policy drives held-out episodes free and with its
-intention forced to 0 (left), 1 (straight on) and 2 (right), and on what it sees while it drives free it is
-asked how far the waypoint and the target speed turn with the intention. `--out` gets a VARIANT-SEED.json for
-each; one that is there already is not measured again. The last line printed is all of them as one JSON
-object.
+    python -m benchmarks.hierarchy --decisions 300000
+
+trains each variant with each seed, `athrl train --serial` on one core, as many at once as there are cores,
+and then intervenes: the policy drives held-out episodes free and with its intention forced to 0 (left), 1
+(straight on) and 2 (right), and on what it sees while it drives free it is asked how far the waypoint and the
+target speed turn with the intention. `--out` gets a VARIANT-SEED.json for each; one that is there already is
+not measured again. The last line printed is all of them as one JSON object.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from athrl_driving.policy import EnvironmentBatch, OnnxPolicy, environment_config
+from athrl_evaluator.environments import environment_for
 from athrl_evaluator.evaluate import evaluate_driver
 from athrl_protocol.run_file import EnvironmentSection
 
@@ -88,7 +90,7 @@ def _scores(policy: Path, episodes: int, forced: tuple[str, ...]) -> dict[str, f
 
 def _asked(policy: OnnxPolicy) -> dict[str, float]:
     """What `left` and `right` change in the decisions of episodes that are driven free."""
-    section = EnvironmentSection().model_dump()
+    section = environment_for(policy.description, EnvironmentSection()).model_dump()
     section.pop("towns")
     kind = policy.description.action_kind
     batch = EnvironmentBatch(["town03"] * ASKED_EPISODES, environment_config(**section), kind)
