@@ -12,7 +12,6 @@ from athrl_spaces import Limits, Observation, PolicyDescription
 from torch import Tensor, nn
 
 from athrl_planners.captured import CapturedUpdate
-from athrl_planners.crew import Crew
 from athrl_planners.diverged import TrainingDiverged
 from athrl_planners.losses import actor_losses, critic_loss
 from athrl_planners.planner import Planner
@@ -23,6 +22,7 @@ from athrl_planners.settings import PlannerSettings
 from athrl_planners.training_batch import BatchPreparation, TrainingBatch
 from athrl_planners.training_state import TrainingState
 from athrl_planners.updates.adam import Adam
+from athrl_planners.workers import Workers
 
 Gradients = tuple[Tensor, ...]
 
@@ -73,9 +73,9 @@ class Agent:
         self.settings, self.precision = settings, precision
         self.device = torch.device(device)
         side_by_side = settings.memory == "none" and self.device.type == "cpu"
-        self._crew = Crew(threads if side_by_side else 1)
+        self._workers = Workers(threads if side_by_side else 1)
         self.state = state = TrainingState(
-            planner, settings, observation, limits, seed, self.device, self._crew.threads
+            planner, settings, observation, limits, seed, self.device, self._workers.threads
         )
         trunk_state = {level.name: state.trunk_state_size(level.name) for level in state.levels}
         self.description = PolicyDescription(
@@ -160,7 +160,7 @@ class Agent:
     ) -> tuple[dict[str, Tensor], Tensor]:
         """An update without its counter; on a GPU it waits for nothing, so that it can be recorded."""
         state = self.state
-        results = self._crew.each(partial(self._gradients, with_actors), data.split(self._crew.threads))
+        results = self._workers.each(partial(self._gradients, with_actors), data.split(self._workers.threads))
         metrics = _summed([part.metrics for part in results])
         gradients = [part.critics for part in results]
         metrics["critic_gradient"] = self._step(

@@ -46,6 +46,6 @@ class Level(nn.Module):
 
 
 @torch.no_grad()
-def follow(followers: Iterable[Tensor], leaders: Iterable[Tensor], share: float) -> None:
-    """Move parameters a share of the way to others."""
-    torch._foreach_lerp_(list(followers), list(leaders), share)
+def soft_update(changed: Iterable[Tensor], online: Iterable[Tensor], tau: float) -> None:
+    """Move target or averaged parameters towards the online ones: tau * online + (1 - tau) * own."""
+    torch._foreach_lerp_(list(changed), list(online), tau)

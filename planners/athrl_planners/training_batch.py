@@ -97,16 +97,16 @@ class SequenceFrames:
         """
         self._images, self._motion = images, motion
         self._time, self._batch = size
-        self._warming, self.trained, self._observed = places
+        self._burned_in, self.trained, self._observed = places
         self._after = self.trained + self._batch * steps
 
     def now(self, trunk: Trunk, state: Tensor | None) -> Tensor:
         """Contexts of the trained decisions: [n, context]."""
         with torch.no_grad():
-            warming = self._features(trunk, self._warming)
+            burned_in = self._features(trunk, self._burned_in)
         trained = self._features(trunk, self.trained)
         features = trained.new_zeros(self._time * self._batch, trained.shape[1])
-        features = features.index_copy(0, self._warming, warming).index_copy(0, self.trained, trained)
+        features = features.index_copy(0, self._burned_in, burned_in).index_copy(0, self.trained, trained)
         return self._unroll(trunk, features, state)[self.trained]
 
     def following(self, trunk: Trunk, state: Tensor | None) -> Tensor:
@@ -206,8 +206,8 @@ class BatchPreparation:
     def _sequences(self, batch: SequenceBatch) -> TrainingBatch:
         rows, time = next(iter(batch.rewards.values())).shape
         steps = np.arange(time)[:, None]
-        warm = self._warm(batch)
-        trained = np.flatnonzero((steps >= warm) & (steps < batch.length))
+        burn_in = self._burn_in_of(batch)
+        trained = np.flatnonzero((steps >= burn_in) & (steps < batch.length))
         step, row = np.divmod(trained, rows)
         ahead = np.minimum(np.array(self.horizons)[:, None], batch.length[row] - step)
         window = step[:, None] + np.arange(max(self.horizons))
@@ -218,7 +218,7 @@ class BatchPreparation:
             self._tensor(_time_major(batch.motion)),
             (time, rows),
             (
-                self._tensor(np.flatnonzero(steps < warm)),
+                self._tensor(np.flatnonzero(steps < burn_in)),
                 self._tensor(trained),
                 self._tensor(np.flatnonzero(np.arange(time + 1)[:, None] <= batch.length)),
             ),
@@ -283,7 +283,7 @@ class BatchPreparation:
             in_force=in_force,
         )
 
-    def _warm(self, batch: SequenceBatch) -> np.ndarray:
+    def _burn_in_of(self, batch: SequenceBatch) -> np.ndarray:
         """How many decisions of each sequence only warm the recurrent state: int64 [batch].
 
         None where an episode starts: the zeros stored there are exact. And always fewer than the sequence

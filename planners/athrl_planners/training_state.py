@@ -14,7 +14,7 @@ import torch
 from athrl_spaces import Limits, Observation
 from torch import Tensor, nn
 
-from athrl_planners.level import Level, follow
+from athrl_planners.level import Level, soft_update
 from athrl_planners.networks import Trunk
 from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan, Planner
@@ -129,11 +129,11 @@ class TrainingState:
     def update_targets(self) -> None:
         """Move target and averaged networks towards the trained ones."""
         tau, share = self.settings.tau, 1 - self.settings.average_decay
-        follow(self._targets.parameters(), self._trunks.parameters(), tau)
-        follow(self._averages.parameters(), self._trunks.parameters(), share)
+        soft_update(self._targets.parameters(), self._trunks.parameters(), tau)
+        soft_update(self._averages.parameters(), self._trunks.parameters(), share)
         for level in self.levels:
-            follow(level.target.parameters(), level.online.parameters(), tau)
-            follow(level.averaged.parameters(), level.online.deciding.parameters(), share)
+            soft_update(level.target.parameters(), level.online.parameters(), tau)
+            soft_update(level.averaged.parameters(), level.online.deciding.parameters(), share)
 
     def state_dict(self) -> dict[str, Any]:
         """All that training needs to continue bit for bit: tensors and plain values.

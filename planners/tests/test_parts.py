@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 from athrl_planners import Agent, Sequence, SequenceReplay, TrainingDiverged
-from athrl_planners.crew import Crew
 from athrl_planners.making import make_agent
+from athrl_planners.workers import Workers
 from athrl_spaces import Observation
 
 SMALL = {"hidden_features": 16, "head_features": 24, "atoms": 11}
@@ -73,12 +73,12 @@ def test_update_in_parts_repeats_itself_bit_for_bit(
 def test_part_draws_its_own_noise_on_every_thread(
     experience: Callable[[Agent], SequenceReplay], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class OneThread(Crew):
+    class OneThread(Workers):
         def each(self, compute: Callable[[int, Any], Any], parts: Any) -> list[Any]:
             return [compute(number, part) for number, part in enumerate(parts)]
 
     first, second = (agent("athrl", 3, update_rule="sac") for _ in range(2))
-    monkeypatch.setattr(second, "_crew", OneThread(3))
+    monkeypatch.setattr(second, "_workers", OneThread(3))
     batch = experience(first).sample(20)
     first.update(batch)
     second.update(batch)
@@ -93,7 +93,7 @@ def test_parts_are_computed_at_the_same_time() -> None:
         everybody.wait(timeout=30)
         return f"{number}{part}"
 
-    assert Crew(3).each(meet, ["a", "b", "c"]) == ["0a", "1b", "2c"]
+    assert Workers(3).each(meet, ["a", "b", "c"]) == ["0a", "1b", "2c"]
 
 
 @pytest.mark.parametrize("failing", [0, 1])
@@ -106,7 +106,7 @@ def test_part_that_fails_is_told_when_all_have_returned(failing: int) -> None:
         returned.append(number)
 
     with pytest.raises(ValueError, match=f"part {failing}"):
-        Crew(2).each(compute, [0, 1])
+        Workers(2).each(compute, [0, 1])
     assert returned == [1 - failing]
 
 

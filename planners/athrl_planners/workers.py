@@ -15,7 +15,7 @@ Part = TypeVar("Part")
 Result = TypeVar("Result")
 
 
-class Crew:
+class Workers:
     """The calling thread and `threads` - 1 others."""
 
     def __init__(self, threads: int) -> None:
