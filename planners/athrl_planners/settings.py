@@ -80,7 +80,9 @@ class PlannerSettings(BaseModel):
     )
 
     # learning
-    learning_rate: float = Field(default=3e-4, gt=0, le=1, description="Adam's step size.")
+    learning_rate: float = Field(
+        default=6e-4, gt=0, le=1, description="Adam's step size; 0.0003 is the paper."
+    )
     final_learning_rate: float = Field(
         default=0.1,
         ge=0,
