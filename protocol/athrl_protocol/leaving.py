@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from typing import Any, cast
 
 import zenoh
 
@@ -35,3 +36,28 @@ def await_what_is_on_its_way(session: zenoh.Session) -> None:
 def _have_answered(session: zenoh.Session) -> None:
     for _ in session.get(EVERY_RUN_FILE, timeout=_ANSWER_SECONDS):
         pass
+
+
+def closing_at_the_end(session: zenoh.Session) -> zenoh.Session:
+    """The session, for a `with` block that ends by calling `close`.
+
+    Zenoh's own end of such a block raises RuntimeError ("Already borrowed") while another thread is inside
+    one of the session's calls, as the one that looks after connections may be; `close` does not.
+    """
+    return cast(zenoh.Session, _Closing(session))
+
+
+class _Closing:
+    """A session in every other respect; inside of the block it is the session itself."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
+
+    def __enter__(self) -> zenoh.Session:
+        return self._session
+
+    def __exit__(self, *_: object) -> None:
+        self._session.close()

@@ -51,13 +51,7 @@ class Reconnection:
     ) -> None:
         self._session = session
         self._address = address
-        # Not by the session's own `get`: a `with` block that ends meanwhile would raise RuntimeError.
-        self._question = session.declare_querier(
-            NOBODYS_RUN_FILE if run is None else Keys(run).run_file,
-            timeout=2 * LONGEST_PATIENCE,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            congestion_control=zenoh.CongestionControl.DROP,
-        )
+        self._question = NOBODYS_RUN_FILE if run is None else Keys(run).run_file
         self._has_answer = run is not None
         self._least_patience = self._patience = patience
         self._replies: zenoh.handlers.Handler[zenoh.Reply] | None = None
@@ -92,7 +86,12 @@ class Reconnection:
         self._asked_at = now
         if self._unanswered_since is None:
             self._unanswered_since = now
-        self._replies = self._question.get()
+        self._replies = self._session.get(
+            self._question,
+            timeout=2 * LONGEST_PATIENCE,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
 
     def _hear(self, now: float) -> None:
         """See what has come: answers, and then the end of them."""

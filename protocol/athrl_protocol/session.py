@@ -26,6 +26,7 @@ from athrl_protocol.address import complete_address, split_address
 from athrl_protocol.certificates import Certificates, find_certificates
 from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
 from athrl_protocol.handshake import why_not_admitted
+from athrl_protocol.leaving import closing_at_the_end
 from athrl_protocol.limits import LARGEST_CHUNK, LARGEST_POLICY, largest_message, size_filter
 from athrl_protocol.reconnection import Reconnection
 from athrl_protocol.session_care import look_after
@@ -131,7 +132,7 @@ def open_router(
         settings["access_control"] = access_list_of_router(run)
     session = _open_listener(complete_address(listen, secure=shown is not None), shown, settings)
     look_after(session, Reconnection(session, learner, run, ROUTER_PATIENCE))
-    return session
+    return closing_at_the_end(session)
 
 
 def _configuration(mode: str, shown: Certificates | None, settings: dict[str, Any]) -> zenoh.Config:
@@ -234,7 +235,7 @@ def _connect(
                 cause, refusal = _why_not(address, shown)
             else:
                 look_after(session, Reconnection(session, address))
-                return session
+                return closing_at_the_end(session)
         waited = time.monotonic() - began
         if refusal is not None and waited >= min(timeout, REFUSED_SECONDS):
             raise NotAdmitted(f"the learner at {address} was reached and not joined: {refusal}")
