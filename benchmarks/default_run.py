@@ -3,8 +3,9 @@
     python -m benchmarks.default_run --seeds 1 2 3 --out runs/default-run.json
 
 trains the default run with each seed, one after the other, through the real services, and scores the last
-policy beside the rule-based driver on 300 episodes. A run that is finished already is only scored. The last
-line is one JSON object, which `--out` gets as well; the machine should have nothing else to do.
+policy beside the rule-based driver on 300 episodes. A run that is finished already is only scored, one that
+was interrupted is resumed. The last line is one JSON object, which `--out` gets as well; the machine should
+have nothing else to do.
 """
 
 from __future__ import annotations
@@ -26,16 +27,21 @@ MEANS = ("return_mean", "collision_rate", "off_lane_rate", "full_episode_rate")
 
 
 def trained(name: str, seed: int, arguments: argparse.Namespace) -> tuple[Path, float | None]:
-    """The policy of a run, and the seconds that training it took if that was done now."""
-    policy = arguments.folder / name / "policies" / "latest.onnx"
-    if policy.exists():
+    """The policy of a run, and the seconds that training took if it was done now and in one piece."""
+    run = arguments.folder / name
+    policy, finished = run / "policies" / "latest.onnx", run / "evaluation.json"
+    if finished.exists():
         return policy, None
-    settings = [f"run.seed={seed}", f"run.folder={arguments.folder}", *arguments.set]
-    command = [sys.executable, "-m", "athrl", "train", "--name", name, "--viewer-port", "0"]
-    command += [word for setting in settings for word in ("--set", setting)]
+    command = [sys.executable, "-m", "athrl", "train", "--viewer-port", "0"]
+    interrupted = run.exists()
+    if interrupted:
+        command += ["--resume", str(run)]
+    else:
+        settings = [f"run.seed={seed}", f"run.folder={arguments.folder}", *arguments.set]
+        command += ["--name", name, *(word for setting in settings for word in ("--set", setting))]
     began = time.monotonic()
     subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
-    return policy, round(time.monotonic() - began, 1)
+    return policy, None if interrupted else round(time.monotonic() - began, 1)
 
 
 def main() -> None:

@@ -80,14 +80,20 @@ def _in_frame(ego: VehiclePose, other: VehiclePose) -> tuple[float, float]:
     return east * cosine + north * sine, north * cosine - east * sine
 
 
-def drive(policy: OnnxPolicy, town: str, seeds: list[int]) -> tuple[list[End], list[float]]:
-    """Drive an episode of each seed: those that ended too early, and all returns."""
+def begun(policy: OnnxPolicy, town: str, seeds: list[int]) -> EnvironmentBatch:
+    """Environments as the policy needs them, each at the beginning of its seed's episode."""
     section = environment_for(policy.description, EnvironmentSection()).model_dump()
     section.pop("towns")
     kind = policy.description.action_kind
     batch = EnvironmentBatch([town] * len(seeds), environment_config(**section), kind)
     for row, seed in enumerate(seeds):
         batch.reset(row, seed)
+    return batch
+
+
+def drive(policy: OnnxPolicy, town: str, seeds: list[int]) -> tuple[list[End], list[float]]:
+    """Drive an episode of each seed: those that ended too early, and all returns."""
+    batch = begun(policy, town, seeds)
     scenes: list[deque[Scene]] = [deque(maxlen=REMEMBERED) for _ in seeds]
     states, driving = policy.initial_states(len(seeds)), np.ones(len(seeds), np.bool_)
     returns, ends = np.zeros(len(seeds)), []

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from athrl_driving.policy import EnvironmentBatch, OnnxPolicy, environment_config
-from athrl_evaluator.environments import environment_for
+from athrl_driving.policy import OnnxPolicy
 from athrl_evaluator.evaluate import evaluate_driver
-from athrl_protocol.run_file import EnvironmentSection
+
+from benchmarks.failures import begun
 
 VARIANTS: dict[str, list[str]] = {
     "hddpg": ["planner.kind=hddpg"],
@@ -90,12 +90,7 @@ def _scores(policy: Path, episodes: int, forced: tuple[str, ...]) -> dict[str, f
 
 def _asked(policy: OnnxPolicy) -> dict[str, float]:
     """What `left` and `right` change in the decisions of episodes that are driven free."""
-    section = environment_for(policy.description, EnvironmentSection()).model_dump()
-    section.pop("towns")
-    kind = policy.description.action_kind
-    batch = EnvironmentBatch(["town03"] * ASKED_EPISODES, environment_config(**section), kind)
-    for row in range(ASKED_EPISODES):
-        batch.reset(row, FIRST_SEED + row)
+    batch = begun(policy, "town03", list(range(FIRST_SEED, FIRST_SEED + ASKED_EPISODES)))
     states, driving = policy.initial_states(ASKED_EPISODES), np.ones(ASKED_EPISODES, np.bool_)
     turned: list[np.ndarray] = []
     intentions: list[np.ndarray] = []

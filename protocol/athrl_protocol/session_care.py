@@ -7,6 +7,7 @@ Their sockets are seen to (`socket_options`), and those that stand and bring not
 from __future__ import annotations
 
 import atexit
+import contextlib
 import logging
 import threading
 from typing import Any, NamedTuple
@@ -53,13 +54,8 @@ class _Session(NamedTuple):
         if self.reconnection is None:
             return
         self.reconnection.hear(events)
-        try:
+        with contextlib.suppress(zenoh.ZError):  # the session is being closed
             self.reconnection.look()
-        except zenoh.ZError:  # the session is being closed
-            return
-        except RuntimeError as error:  # it is, at the end of its `with` block
-            if str(error) != "Already mutably borrowed":
-                raise
 
 
 class _Care:
