@@ -1,20 +1,29 @@
-# make train   installs into .venv and starts a run on this machine
-# make test    installs into .venv and runs every check and test
+# make train      installs into .venv and starts a run on this machine
+# make test       installs into .venv and runs the checks and all tests but the slow ones
+# make test-all   the slow tests too: many faults in a row, long pauses, learning
+# make check      lint, types and the unit tests of one room: make check ROOM=planners
+# make docs       the documentation as a site in site/
 #
-# PYTHON names the Python that .venv is made of; RUN_FILE and ARGS go to `athrl train`.
+# PYTHON names the Python that .venv is made of; RUN_FILE and ARGS go to `athrl train`; JOBS is how many
+# processes run tests side by side, PYTEST_ARGS what else pytest is told.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
-ROOMS := spaces protocol driving planners services/actor services/learner services/evaluator athrl
+DOCS := .venv-docs
+DOCS_INSTALLED := $(DOCS)/installed
+ROOMS := spaces protocol driving accelerate planners services/actor services/learner services/evaluator athrl
 RUN_FILE ?= presets/default.toml
 PYTEST_ARGS ?=
+ROOM ?= spaces
+JOBS ?= $(shell expr 2 \* $$(nproc))
+PYTEST := $(BIN)/pytest --numprocesses=$(JOBS) --dist=worksteal
 
-.PHONY: help install train test lint format images clean
+.PHONY: help install train test test-all check lint format docs images clean
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 4
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 8
 
 install: $(INSTALLED)
 
@@ -33,7 +42,13 @@ train: $(INSTALLED)
 	@$(BIN)/athrl train --run-file $(RUN_FILE) $(ARGS)
 
 test: lint
-	$(BIN)/pytest $(PYTEST_ARGS)
+	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
+
+test-all: test
+	$(BIN)/pytest --numprocesses=2 --dist=worksteal -m slow $(PYTEST_ARGS)
+
+check: lint
+	$(PYTEST) -m "not slow" $(ROOM)/tests $(PYTEST_ARGS)
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
@@ -44,9 +59,18 @@ format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# An environment of its own: mkdocstrings reads the sources, nothing of athrl has to be installed.
+$(DOCS_INSTALLED): constraints.txt requirements-docs.txt
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/pip install --quiet --constraint constraints.txt --requirement requirements-docs.txt
+	@touch $@
+
+docs: $(DOCS_INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs build --strict
+
 images:
 	deploy/build-images.sh
 
 clean:
-	rm -rf $(VENV) .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(DOCS) site .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -not -path './.git/*' -prune -exec rm -rf {} +

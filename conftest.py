@@ -9,11 +9,74 @@ alone; highway-env, which looks into `os.environ`, would stop drawing altogether
 
 MKL reads MKL_CBWR when it first computes. Serial runs set it in time in a process of their own; here some
 other test may have computed before one, and its last bits would be those of sums in another order.
+
+Some tests import ONNX Runtime themselves, maybe before the package that turns its telemetry off.
+
+Ports are below the range out of which the system gives ports to outgoing connections, and no process gives
+one twice: nobody else gets a port between the moment when it is found free and the moment when the test's
+process listens at it, which may be a minute later.
 """
 
+import itertools
 import os
+import random
+import socket
+from collections.abc import Callable, Iterator
+
+import pytest
 
 os.putenv("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("MKL_CBWR", "AUTO")
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 import athrl  # noqa: F401
+
+_FIRST_PORT, _LAST_PORT = 12_000, 32_000
+_PORTS_A_PROCESS = 1_000
+
+
+@pytest.fixture(scope="session")
+def free_port(worker_id: str) -> Callable[[], int]:
+    """Gives a port that is free at the loopback interface, another one each time."""
+    ports = _ports_of(worker_id)
+
+    def free() -> int:
+        return next(port for port in ports if _is_free(port))
+
+    return free
+
+
+@pytest.fixture(scope="session")
+def free_address(free_port: Callable[[], int]) -> Callable[[], str]:
+    """Gives an address of the loopback interface for a learner or router, another one each time."""
+    return lambda: f"tcp/127.0.0.1:{free_port()}"
+
+
+@pytest.fixture
+def port(free_port: Callable[[], int]) -> int:
+    """A port that is free at the loopback interface."""
+    return free_port()
+
+
+@pytest.fixture
+def address(free_address: Callable[[], str]) -> str:
+    """An address of the loopback interface for a learner or router."""
+    return free_address()
+
+
+def _ports_of(worker: str) -> Iterator[int]:
+    """The ports of one of the processes that run tests side by side, beginning anywhere among them."""
+    number = int(worker.removeprefix("gw")) if worker.startswith("gw") else 0
+    first = _FIRST_PORT + number * _PORTS_A_PROCESS % (_LAST_PORT - _FIRST_PORT)
+    start = random.SystemRandom().randrange(_PORTS_A_PROCESS)
+    return (first + (start + step) % _PORTS_A_PROCESS for step in itertools.count())
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True

@@ -1,32 +1,32 @@
-"""How long a checkpoint stops training, beside a copy of the replay, and how long going on from it takes.
+"""How long a checkpoint stops training, beside a copy of the replay, and how long resuming from it takes.
 
-The learner of the default run file, with a full replay. "Snapshot" is what training waits for; writing
-happens beside it. "Copy" is what a checkpoint that holds the replay would have to do in the same place.
+The learner of the default run file, with a full replay. Training waits for the "snapshot"; writing happens in
+parallel. "Copy" is the time that a checkpoint with a copy of the replay would need instead.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import socket
 import statistics
 import tempfile
 import time
 from pathlib import Path
 
 import torch
-from athrl.runs import know_planners
-from athrl_learner import translation
-from athrl_learner.arrivals import Arrivals
+from athrl.ports import free_address
+from athrl.runs import declare_installed_planners
+from athrl_learner import factories
 from athrl_learner.checkpoint import CheckpointContent, read_checkpoint, write_checkpoint
-from athrl_learner.parts import make_experience
-from athrl_learner.run import short_collections
-from athrl_learner.snapshot import restore_snapshot, take_snapshot
-from athrl_learner.store import ExperienceStore
+from athrl_learner.checkpoint.snapshot import restore_snapshot, take_snapshot
+from athrl_learner.components import make_experience
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.intake.store import ExperienceStore
+from athrl_learner.run import frozen_garbage_collector
 from athrl_planners import Agent
 from athrl_protocol import ChunkIntake, RunFile, encode_chunk, open_session, read_run_file
 
-from benchmarks.experience import made_up_chunk, numbered
+from benchmarks.experience import numbered, synthetic_chunk
 
 #: Different chunks; the replay holds each of them many times.
 _DIFFERENT = 50
@@ -34,20 +34,13 @@ _DIFFERENT = 50
 
 def filled(run_file: RunFile, folder: Path, agent: Agent) -> ExperienceStore:
     """A store whose replay is full."""
-    store = make_experience(run_file, agent, Arrivals(), translation.make_log(run_file, folder))
+    store = make_experience(run_file, agent, Arrivals(), factories.make_log(run_file, folder))
     steps = run_file.replay.sequence_length
-    chunks = [made_up_chunk(steps, seed=seed) for seed in range(_DIFFERENT)]
+    chunks = [synthetic_chunk(steps, seed=seed) for seed in range(_DIFFERENT)]
     for sequence in range(store.replay.slots):
         chunk = numbered(chunks[sequence % _DIFFERENT], sequence)
         store.accept(chunk, encode_chunk(chunk))
     return store
-
-
-def free_address() -> str:
-    """An address of this machine at which nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def milliseconds_of_snapshots(
@@ -84,7 +77,7 @@ def main() -> None:
     parser.add_argument("--transitions", type=int, default=100_000, help="in the replay")
     parser.add_argument("--repeats", type=int, default=20, help="snapshots")
     arguments = parser.parse_args()
-    know_planners()
+    declare_installed_planners()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run_file = read_run_file(
@@ -96,18 +89,18 @@ def main() -> None:
             ],
         )
         torch.set_num_threads(run_file.learner.threads or 1)
-        agent = translation.make_agent(run_file)
+        agent = factories.make_agent(run_file)
         store = filled(run_file, folder / "experience", agent)
-        with short_collections():
+        with frozen_garbage_collector():
             snapshots, content = milliseconds_of_snapshots(run_file, agent, store, arguments.repeats)
         copies = milliseconds_of_copies(store, 3)
         began = time.perf_counter()
         store.log.sync()
         path = write_checkpoint(folder / "checkpoints", content)
         written = time.perf_counter() - began
-        other = translation.make_agent(run_file)
+        other = factories.make_agent(run_file)
         restored = make_experience(
-            run_file, other, Arrivals(), translation.make_log(run_file, folder / "experience")
+            run_file, other, Arrivals(), factories.make_log(run_file, folder / "experience")
         )
         began = time.perf_counter()
         restore_snapshot(read_checkpoint(path), other, restored)

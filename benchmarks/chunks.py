@@ -15,7 +15,7 @@ import athrl_driving  # noqa: F401  (importing it registers the towns)
 import gymnasium
 import numpy as np
 from athrl_protocol import Chunk, LevelColumns, decode_chunk, encode_chunk
-from athrl_protocol.image_codec import Compression
+from athrl_protocol.codec.images import Compression
 
 COMPRESSIONS: tuple[Compression, ...] = ("lz4", "zstd", "none")
 

@@ -1,12 +1,12 @@
-"""A thousand actors on one learner: how soon all are heard, how long an acknowledgement takes, what it costs.
+"""A thousand actors on one learner: time until all are received, of acknowledgements, and costs.
 
-Each actor has a Zenoh session, a presence, metrics and an uploader of its own, and joins the run as any actor
-does; it only drives nothing, and takes no policies. Some hundred share a process. The learner's side is its
-intake, log and replay, its watch over who is there, and state and metrics once a second, without training.
-The actors' metrics are heard by a process of its own, as an evaluator or a viewer hears them.
+Each actor has its own Zenoh session, presence, metrics and uploader, and joins the run as any actor; but it
+does not drive and takes no policies. Some hundred share a process. The learner's side is its intake, log and
+replay, its presence watcher, and state and metrics once a second, without training. A separate process
+receives the actors' metrics, as an evaluator or a viewer does.
 
-What is counted: joining, from the word to begin, which the processes get once Python and its libraries have
-started, until the last actor has its name; being heard, from the word to send, which all get when all have
+Measured are: joining, from the start signal, which the processes get once Python and its libraries are
+loaded, until the last actor has its name; receiving, from the signal to send, which all get when all have
 joined, until a chunk of each is stored.
 """
 
@@ -25,11 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from athrl.runs import know_planners
-from athrl_learner import translation
-from athrl_learner.arrivals import Arrivals
-from athrl_learner.parts import make_experience
-from athrl_learner.store import ExperienceStore
+from athrl.ports import free_address
+from athrl.runs import declare_installed_planners
+from athrl_learner import factories
+from athrl_learner.components import make_experience
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.intake.store import ExperienceStore
 from athrl_protocol import (
     ChunkIntake,
     MetricsPublisher,
@@ -45,7 +46,6 @@ from athrl_protocol import (
 )
 
 from benchmarks.light_crowd import RUN, STEPS, resident_mebibytes
-from benchmarks.router import free_address
 
 _PATIENCE = 60.0
 
@@ -54,7 +54,7 @@ class Crowd:
     """The processes of the actors."""
 
     def __init__(self, address: str, actors: int, processes: int, transitions_per_second: float) -> None:
-        """Start them, and return when all are ready to join their actors, each one after the other."""
+        """Start them, one after the other, and return when all are ready to join."""
         share, rate = actors // processes, transitions_per_second / actors / STEPS
         command = [sys.executable, "-m", "benchmarks.light_crowd", address]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
@@ -65,12 +65,12 @@ class Crowd:
         self._words()
 
     def join(self) -> float:
-        """Let them join; return when every actor has, with the seconds of a core that took them in all."""
+        """Let them join; return when every actor has, with the total seconds of a core."""
         self.begin()
         return sum(float(word) for word in self._words())
 
     def begin(self) -> None:
-        """Let them do what is next: join, or send."""
+        """Start the next phase: join, or send."""
         for process in self._processes:
             process.stdin.write(b"\n")
             process.stdin.flush()
@@ -82,13 +82,13 @@ class Crowd:
         return words
 
     def end(self) -> list[dict[str, Any]]:
-        """Let them stop; what each process reports."""
+        """Stop them; return the report of each process."""
         for process in self._processes:
             process.stdin.close()
         return [json.loads(process.stdout.readline()) for process in self._processes]
 
     def close(self) -> None:
-        """See that all processes end."""
+        """End all processes."""
         for process in self._processes:
             process.stdin.close()
         for process in self._processes:
@@ -100,7 +100,7 @@ class Crowd:
 
 @contextlib.contextmanager
 def listener(address: str) -> Iterator[Callable[[], int]]:
-    """A process that hears all metrics; gives a function that tells how many actors it has heard."""
+    """A process that receives all metrics; yields a function that returns how many actors have reported."""
     command = [sys.executable, "-m", "benchmarks.light_listener", address]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         if process.stdout.readline() != b"ready\n":
@@ -116,7 +116,7 @@ def listener(address: str) -> Iterator[Callable[[], int]]:
 
 @contextlib.contextmanager
 def news(session: Any, run_file: RunFile, store: ExperienceStore, arrivals: Arrivals) -> Iterator[Any]:
-    """What a learner says beside the chunks; gives a function that reports once."""
+    """A learner's other messages besides the intake; yields a function that reports once."""
     with (
         serve_run_file(session, run_file),
         announce_presence(session, RUN, "learner", "learner"),
@@ -126,7 +126,7 @@ def news(session: Any, run_file: RunFile, store: ExperienceStore, arrivals: Arri
     ):
 
         def report() -> int:
-            """Say how things stand; how many actors are present."""
+            """Publish state and metrics; return how many actors are present."""
             with store.held():
                 values = arrivals.metrics()
             state.publish(RunState(Phase.TRAINING, store.environment_steps, 10**9, 0, 0, ""))
@@ -137,8 +137,8 @@ def news(session: Any, run_file: RunFile, store: ExperienceStore, arrivals: Arri
 
 
 def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
-    """Let a crowd join and send, and tell how it went."""
-    know_planners()
+    """Let a crowd join and send, and return the measurements."""
+    declare_installed_planners()
     run_file = read_run_file(
         None,
         [
@@ -150,7 +150,7 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
     )
     arrivals = Arrivals()
     store = make_experience(
-        run_file, translation.make_agent(run_file), arrivals, translation.make_log(run_file, folder)
+        run_file, factories.make_agent(run_file), arrivals, factories.make_log(run_file, folder)
     )
     address = free_address()
     with (
@@ -169,8 +169,8 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
             print(f"{arguments.actors} actors joined in {joined:.0f} s", flush=True)
             crowd.begin()
             began, busy = time.monotonic(), time.process_time()
-            heard = wait_until_all_are_heard(intake, arguments.actors)
-            until = began + max(arguments.seconds, heard + 5)
+            received = wait_until_all_are_received(intake, arguments.actors)
+            until = began + max(arguments.seconds, received + 5)
             present = 0
             while time.monotonic() < until:
                 time.sleep(1.0)
@@ -193,7 +193,7 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
         "joined_s": joined,
         "learner_ms_a_joining": 1000 * joining / arguments.actors,
         "actor_ms_a_joining": 1000 * actors_joining / arguments.actors,
-        "all_heard_s": heard,
+        "all_heard_s": received,
         "transitions_per_second": taken / elapsed,
         "ack_p50_s": float(np.quantile(waits, 0.5)),
         "ack_p99_s": float(np.quantile(waits, 0.99)),
@@ -207,12 +207,12 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, float]:
     }
 
 
-def wait_until_all_are_heard(intake: ChunkIntake, actors: int) -> float:
+def wait_until_all_are_received(intake: ChunkIntake, actors: int) -> float:
     """Seconds until a chunk of every actor is stored."""
     began = time.monotonic()
     while len(intake.ledger()) < actors:
         if time.monotonic() - began > _PATIENCE:
-            sys.exit(f"only {len(intake.ledger())} of {actors} actors were heard in {_PATIENCE:.0f} s")
+            sys.exit(f"only {len(intake.ledger())} of {actors} actors were received in {_PATIENCE:.0f} s")
         time.sleep(0.1)
     return time.monotonic() - began
 

@@ -1,11 +1,11 @@
-"""What `make train` comes to with several seeds, on episodes that nobody trained or was chosen on.
+"""Results of `make train` with several seeds, on held-out episodes.
 
     python -m benchmarks.default_run --seeds 1 2 3 --out runs/default-run.json
 
 trains the default run with each seed, one after the other, through the real services, and scores the last
-policy beside the rule-based driver on 300 episodes. A run that is finished already is only scored, one that
-was interrupted is resumed. The last line is one JSON object, which `--out` gets as well; the machine should
-have nothing else to do.
+policy and the rule-based driver on 300 episodes. A finished run is only scored, an interrupted one is
+resumed. The last line is one JSON object, which is also written to `--out`; the machine should be idle
+otherwise.
 """
 
 from __future__ import annotations
@@ -20,6 +20,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from athrl.ports import free_address
+from athrl.runs import holds_run
+from athrl.study.runs import train_words
+
 from benchmarks.ship_policy import scored
 
 TOWN = "town03"
@@ -32,15 +36,10 @@ def trained(name: str, seed: int, arguments: argparse.Namespace) -> tuple[Path, 
     policy, finished = run / "policies" / "latest.onnx", run / "evaluation.json"
     if finished.exists():
         return policy, None
-    command = [sys.executable, "-m", "athrl", "train", "--viewer-port", "0"]
-    interrupted = run.exists()
-    if interrupted:
-        command += ["--resume", str(run)]
-    else:
-        settings = [f"run.seed={seed}", f"run.folder={arguments.folder}", *arguments.set]
-        command += ["--name", name, *(word for setting in settings for word in ("--set", setting))]
+    interrupted = holds_run(run)
+    words = train_words(run, [f"run.seed={seed}", *arguments.set], address=free_address())
     began = time.monotonic()
-    subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "athrl", *words], check=True, stdin=subprocess.DEVNULL)
     return policy, None if interrupted else round(time.monotonic() - began, 1)
 
 

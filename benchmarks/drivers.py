@@ -1,8 +1,8 @@
-"""How many episodes a driver gets through among 100 vehicles, on every map.
+"""How many episodes a driver completes among 100 vehicles, on every map.
 
 Each seed is one episode of 50 s on random turns, as a policy drives it: through a target speed and a
-waypoint. It is got through without a collision (whoever's fault) and without leaving the lane. CARLA's maps
-are read from --carla where that is a folder. The last line is one JSON object.
+waypoint. It is completed without a collision (by any vehicle's fault) and without leaving the lane. CARLA's
+maps are read from --carla where that is a folder. The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ def drive(town: str, driver_name: str, vehicles: int, seeds: Sequence[int]) -> d
     batch.reset(seed=list(seeds))
     drivers = [make_driver(driver_name) for _ in seeds]
     for e, driver in enumerate(drivers):
-        driver.reset(batch.row(e), seeds[e])
+        driver.reset(batch.environment(e), seeds[e])
     driving = np.ones(len(seeds), np.bool_)
     actions = np.zeros((len(seeds), 2), np.float32)
     while driving.any():
         for e in np.flatnonzero(driving).tolist():
-            actions[e] = drivers[e].act(batch.row(e))
-        _, terminated, truncated, _ = batch.step_rows(actions, driving)
+            actions[e] = drivers[e].act(batch.environment(e))
+        _, terminated, truncated, _ = batch.step_environments(actions, driving)
         driving &= ~(terminated | truncated)
     state = batch.episodes.state.progress
     collided, left = state.collision != 0, state.off_lane.copy()

@@ -15,9 +15,9 @@ import time
 import warnings
 
 import numpy as np
-from athrl.runs import know_planners
+from athrl.runs import declare_installed_planners
 from athrl_driving.policy import EnvironmentBatch, OnnxPolicy, environment_config, spread_towns
-from athrl_learner import translation
+from athrl_learner import factories
 from athrl_planners import PolicyExporter
 from athrl_protocol import RunFile, read_run_file
 
@@ -30,7 +30,7 @@ class Driving:
     def __init__(self, run_file: RunFile) -> None:
         settings = run_file.environment.model_dump()
         shares, count = settings.pop("towns"), run_file.actor.environments
-        self._policy = OnnxPolicy(PolicyExporter(translation.make_agent(run_file)).artefact())
+        self._policy = OnnxPolicy(PolicyExporter(factories.make_agent(run_file)).artefact())
         self._batch = EnvironmentBatch(
             spread_towns(shares, count),
             environment_config(**settings),
@@ -38,23 +38,23 @@ class Driving:
         )
         self._states = self._policy.initial_states(count)
         self._seed = 0
-        for row in range(count):
-            self._begin(row)
+        for env_index in range(count):
+            self._begin(env_index)
 
     def decide(self) -> int:
         """Make a decision in each environment and reset those that ended; return how many were made."""
         step = self._policy.step(self._batch.images, self._batch.motion, self._states)
         self._states = {name: states.copy() for name, states in step.states.items()}
         outcome = self._batch.step(self._policy.description.environment_action(step.actions))
-        for row in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
-            self._begin(row)
+        for env_index in np.flatnonzero(outcome.terminated | outcome.truncated).tolist():
+            self._begin(env_index)
         return len(self._batch)
 
-    def _begin(self, row: int) -> None:
-        self._batch.reset(row, self._seed)
+    def _begin(self, env_index: int) -> None:
+        self._batch.reset(env_index, self._seed)
         self._seed += 1
         for states in self._states.values():
-            states[row] = 0.0
+            states[env_index] = 0.0
 
 
 def actor_rate(run_file: RunFile, seconds: float) -> float:
@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], help="settings of the run file")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
-    know_planners()
+    declare_installed_planners()
     run_file = read_run_file(None, arguments.set)
     stock, actor = stock_rate(run_file), actor_rate(run_file, arguments.seconds)
     figures = {

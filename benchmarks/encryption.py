@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from athrl.certificates import make_all
 from athrl_protocol import Chunk, ChunkIntake, ChunkUploader, LevelColumns, new_incarnation, open_session
-from athrl_protocol.refusal_log import refusals_logged
+from athrl_protocol.faults.zenoh_refusals import refusals_logged
 
 TIME, SIZE = 10, 32
 RUN = "benchmark"

@@ -8,7 +8,7 @@ import numpy as np
 from athrl_protocol import Chunk, LevelColumns
 
 
-def made_up_chunk(steps: int, *, image_size: int = 32, seed: int = 0) -> Chunk:
+def synthetic_chunk(steps: int, *, image_size: int = 32, seed: int = 0) -> Chunk:
     """A chunk of `steps` decisions of the default planner, which remembers nothing.
 
     There are a road and a few vehicles in the image, everything else is random.

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from athrl_driving.policy import EnvironmentBatch, OnnxPolicy, environment_config
 from athrl_driving.scene import Scene, VehiclePose
-from athrl_evaluator.environments import environment_for
+from athrl_evaluator.scoring.environments import environment_for
 from athrl_protocol.run_file import EnvironmentSection
 
 TOGETHER = 50  # environments
@@ -86,8 +86,8 @@ def begun(policy: OnnxPolicy, town: str, seeds: list[int]) -> EnvironmentBatch:
     section.pop("towns")
     kind = policy.description.action_kind
     batch = EnvironmentBatch([town] * len(seeds), environment_config(**section), kind)
-    for row, seed in enumerate(seeds):
-        batch.reset(row, seed)
+    for env_index, seed in enumerate(seeds):
+        batch.reset(env_index, seed)
     return batch
 
 
@@ -98,22 +98,22 @@ def drive(policy: OnnxPolicy, town: str, seeds: list[int]) -> tuple[list[End], l
     states, driving = policy.initial_states(len(seeds)), np.ones(len(seeds), np.bool_)
     returns, ends = np.zeros(len(seeds)), []
     while driving.any():
-        for row in np.flatnonzero(driving):
-            scenes[row].append(batch.environments[row].scene())
+        for env_index in np.flatnonzero(driving):
+            scenes[env_index].append(batch.environments[env_index].scene())
         step = policy.step(batch.images, batch.motion, states)
         states = step.states
         result = batch.step(policy.description.environment_action(step.actions), driving)
         returns += result.rewards
-        for row in np.flatnonzero(result.terminated):
-            before = [*scenes[row], batch.environments[row].scene()]
-            ends.append(End(seeds[row], bool(batch.info(row)["collision"]), before))
+        for env_index in np.flatnonzero(result.terminated):
+            before = [*scenes[env_index], batch.environments[env_index].scene()]
+            ends.append(End(seeds[env_index], bool(batch.info(env_index)["collision"]), before))
         driving &= ~(result.terminated | result.truncated)
     batch.close()
     return ends, returns.tolist()
 
 
 def main() -> None:
-    """Drive, and tell of what went wrong."""
+    """Drive, and print the failures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("policy", type=Path)
     parser.add_argument("--town", default="town03")

@@ -14,9 +14,10 @@ import time
 
 import numpy as np
 from athrl_driving.maps import Town, load_town
+from athrl_driving.traffic.ego_columns import EGO_SIZE
 from athrl_driving.traffic.flow import drive, measure_flow
 from athrl_driving.traffic.spawn import place_vehicles
-from athrl_driving.traffic.state import EGO_FIELDS, new_traffic
+from athrl_driving.traffic.state import new_traffic
 
 from benchmarks.maps import add_map_options, chosen_maps
 
@@ -41,7 +42,7 @@ def measure(town: Town, vehicles: int, seeds: int, minutes: float) -> dict[str, 
 def cost_of_a_tick(town: Town, vehicles: int) -> float:
     """Return CPU microseconds of this process; the least of five measurements, the machine is shared."""
     traffic = new_traffic(town, 1, vehicles)
-    place_vehicles(traffic, 0, np.random.default_rng(0), None, 0.0, np.zeros(EGO_FIELDS))
+    place_vehicles(traffic, 0, np.random.default_rng(0), None, 0.0, np.zeros(EGO_SIZE))
     drive(traffic, TICKS_TIMED)
     costs = []
     for _ in range(5):

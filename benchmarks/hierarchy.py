@@ -21,8 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from athrl.ports import free_address
+from athrl.study.runs import train_words
 from athrl_driving.policy import OnnxPolicy
-from athrl_evaluator.evaluate import evaluate_driver
+from athrl_evaluator.evaluate import EvaluationSettings, evaluate_driver
 
 from benchmarks.failures import begun
 
@@ -48,11 +50,11 @@ ASKED_EPISODES = 20
 
 
 def trained(variant: str, seed: int, decisions: int, out: Path) -> Path:
-    """Train, unless that has been done; the policy's file."""
+    """Train, unless that has been done; return the file of the policy."""
     name = f"{variant}-{seed}"
     policy = out / "runs" / name / "policies" / "latest.onnx"
     settings = [
-        f"run.folder={out / 'runs'}",
+        "serial.enabled=true",
         f"run.seed={seed}",
         f"run.environment_steps={decisions}",
         "learner.precision=bfloat16",
@@ -61,10 +63,10 @@ def trained(variant: str, seed: int, decisions: int, out: Path) -> Path:
         "evaluator.final_episodes=2",
         *VARIANTS[variant],
     ]
-    words = [word for setting in settings for word in ("--set", setting)]
+    words = train_words(out / "runs" / name, settings, address=free_address())
     with (out / f"{name}.log").open("w") as log:
         subprocess.run(
-            [sys.executable, "-m", "athrl", "train", "--serial", "--name", name, *words],
+            [sys.executable, "-m", "athrl", *words],
             check=True,
             stdin=subprocess.DEVNULL,
             stdout=log,
@@ -84,7 +86,8 @@ def intervened(policy: Path, episodes: int) -> dict[str, Any]:
 
 
 def _scores(policy: Path, episodes: int, forced: tuple[str, ...]) -> dict[str, float]:
-    scores = evaluate_driver(policy, episodes=episodes, seed=FIRST_SEED, forced=forced).as_dict()
+    settings = EvaluationSettings(episodes=episodes, seed=FIRST_SEED, forced=forced)
+    scores = evaluate_driver(policy, settings).as_dict()
     return {name: round(scores[name], 4) for name in SCORES}
 
 

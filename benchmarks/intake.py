@@ -1,7 +1,7 @@
-"""How many transitions a second one learner takes in from 1, 4 and 16 actors, written down and acknowledged.
+"""How many transitions a second one learner receives, logs and acknowledges from 1, 4 and 16 actors.
 
-Real sessions over loopback and real uploaders, each actor a process of its own that does nothing but send
-64-step chunks of 32 x 32 x 4 pixels; the learner's side is its intake, log and replay, without training. The
+Real sessions over loopback and real uploaders. Each actor is a separate process that only sends 64-step
+chunks of 32 x 32 x 4 pixels; the learner's side is its intake, log and replay, without training. The
 actors share the machine with it. `benchmarks.reverb_intake` measures dm-reverb beside it.
 """
 
@@ -19,15 +19,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from athrl.runs import know_planners
-from athrl_learner import translation
-from athrl_learner.arrivals import Arrivals
-from athrl_learner.parts import make_experience
-from athrl_learner.store import ExperienceStore
+from athrl.ports import free_address
+from athrl.runs import declare_installed_planners
+from athrl_learner import factories
+from athrl_learner.components import make_experience
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.intake.store import ExperienceStore
 from athrl_protocol import ChunkIntake, RunFile, open_session, read_run_file, serve_run_file
 
 from benchmarks.light_actor import RUN, STEPS
-from benchmarks.router import KINDS, free_address, standing_before
+from benchmarks.router import KINDS, standing_before
 
 _PATIENCE = 60.0
 _FILLED_WITHIN = 120.0
@@ -35,7 +36,7 @@ _FILLED_WITHIN = 120.0
 
 @contextlib.contextmanager
 def light_actors(address: str, count: int) -> Iterator[list[dict[str, Any]]]:
-    """So many actors at work, each a process of its own; what they report is in the list afterwards."""
+    """Run actors as separate processes; their reports are in the list afterwards."""
     command = [sys.executable, "-m", "benchmarks.light_actor", address]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     actors = [subprocess.Popen([*command, f"actor-{number}"], **pipes) for number in range(count)]
@@ -58,7 +59,7 @@ def light_actors(address: str, count: int) -> Iterator[list[dict[str, Any]]]:
 def rate(run_file: RunFile, actors: int, seconds: float, folder: Path, through: str) -> dict[str, float]:
     """Transitions a second that are taken in, and what they cost the learner and the actors."""
     store = make_experience(
-        run_file, translation.make_agent(run_file), Arrivals(), translation.make_log(run_file, folder)
+        run_file, factories.make_agent(run_file), Arrivals(), factories.make_log(run_file, folder)
     )
     listen = free_address()
     with (
@@ -109,7 +110,7 @@ def main() -> None:
     parser.add_argument("--through", choices=KINDS, default="nothing", help="stands before the learner")
     parser.add_argument("--folder", type=Path, help="where the log is written; by default a temporary one")
     arguments = parser.parse_args()
-    know_planners()
+    declare_installed_planners()
     run_file = read_run_file(
         None,
         [

@@ -1,7 +1,7 @@
 """An actor that drives nothing: sends ready-made chunks as fast as the learner takes them.
 
-Arguments: address, name. Says "ready" when it is connected, sends until its input is closed, and says then
-how many seconds of a core that took, and what became of its chunks, as a JSON object.
+Arguments: address, name. Prints "ready" when it is connected, sends until its input is closed, and then
+prints a JSON object with the seconds of a core and the counts of its chunks.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from dataclasses import asdict
 
 from athrl_protocol import ChunkUploader, new_incarnation, open_session
 
-from benchmarks.experience import made_up_chunk
+from benchmarks.experience import synthetic_chunk
 
 RUN = "benchmark"
 STEPS = 64
 _PATIENCE = 60.0
-#: Chunks that it has ready, so that it is the learner that is measured.
+#: Prepared chunks, so that only the learner is measured.
 _READY = 8
 
 
 def main(address: str, name: str) -> None:
     """Send until the input is closed."""
-    chunks = [made_up_chunk(STEPS, seed=seed) for seed in range(_READY)]
+    chunks = [synthetic_chunk(STEPS, seed=seed) for seed in range(_READY)]
     stop = threading.Event()
     with (
         open_session(connect=address, timeout=_PATIENCE) as session,

@@ -1,9 +1,9 @@
 """Many actors that drive nothing in one process, each with session, presence, metrics and uploader.
 
-Arguments: address, name of the first, how many, chunks a second of each. Says "loaded" once Python has
-started, joins the run one by one when it reads a line, and says then how many seconds of a core that took.
-Begins to send when it reads another line, and ends when its input is closed; then it says as a JSON object
-how long acknowledgements took, in seconds, and what became of the chunks.
+Arguments: address, name of the first, how many, chunks a second of each. Prints "loaded" once Python has
+started, joins the run one by one when it reads a line, and then prints the seconds of a core for that. Starts
+to send when it reads another line, and ends when its input is closed; then it prints a JSON object with the
+seconds of acknowledgements and the counts of chunks.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from athrl_protocol import (
     new_incarnation,
 )
 
-from benchmarks.experience import made_up_chunk
+from benchmarks.experience import synthetic_chunk
 
 RUN = "benchmark"
 STEPS = 10
 _PATIENCE = 60.0
 _METRICS_SECONDS = 1.0
-_LOOK_SECONDS = 0.04  # which is how exactly an acknowledgement's time is known
+_LOOK_SECONDS = 0.04  # resolution of the time of an acknowledgement
 _ROLE = "actor"
 
 
@@ -53,7 +53,7 @@ class LightActor:
             role=_ROLE, connect=address, run=RUN, name=name, stop=threading.Event(), stack=stack
         )
         assert joined is not None
-        session, _ = joined
+        session = joined.session
         self.waits: list[float] = []
         self._period = period
         self._due = self._reported_at = self._sent_at = 0.0
@@ -70,7 +70,7 @@ class LightActor:
         if not self._waiting and now >= self._due:
             self._sent_at = time.monotonic()
             self._waiting = self.uploader.submit(chunk, 0.0)
-            # Not all at once: as episodes end when they end.
+            # Not all at once, as episodes end at different times.
             self._due = now + random.uniform(0.5, 1.5) * self._period
         if now - self._reported_at >= _METRICS_SECONDS:
             self._metrics.publish({"chunks_acknowledged": self.uploader.statistics().acknowledged})
@@ -78,10 +78,10 @@ class LightActor:
 
 
 def main(address: str, first: str, count: str, chunks_per_second: str) -> None:
-    """Join, wait for the word, send."""
-    # Each thread that waits for the interpreter asks for it so often; hundreds of them would do nothing else.
+    """Join, wait for the signal, send."""
+    # Threads that wait for the interpreter request it at this interval; hundreds would do nothing else.
     sys.setswitchinterval(0.1)
-    chunk, stop = made_up_chunk(STEPS), threading.Event()
+    chunk, stop = synthetic_chunk(STEPS), threading.Event()
     print("loaded", flush=True)
     sys.stdin.readline()
     busy = time.process_time()
@@ -102,7 +102,7 @@ def main(address: str, first: str, count: str, chunks_per_second: str) -> None:
 
 
 def report(actors: list[LightActor], busy: float) -> dict[str, Any]:
-    """What became of the actors' chunks, and what it cost."""
+    """Counts of the actors' chunks, and costs."""
     counts: Counter[str] = Counter()
     for actor in actors:
         actor.uploader.flush(_PATIENCE)

@@ -1,7 +1,7 @@
-"""Hears the metrics of all services of a run, as an evaluator or a viewer does.
+"""Receives the metrics of all services of a run, as an evaluator or a viewer does.
 
-Argument: address. Says "ready" when it listens; for each line of its input it says how many actors it has
-heard.
+Argument: address. Prints "ready" when it listens; for each line of its input it prints how many actors have
+reported.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ _PATIENCE = 60.0
 
 def main(address: str) -> None:
     """Listen until the input is closed."""
-    heard: set[str] = set()
+    reported: set[str] = set()
 
-    def hear(report: MetricsReport) -> None:
+    def note(report: MetricsReport) -> None:
         if report.role == "actor":
-            heard.add(report.name)
+            reported.add(report.name)
 
-    with open_session(connect=address, timeout=_PATIENCE) as session, MetricsSubscriber(session, RUN, hear):
+    with open_session(connect=address, timeout=_PATIENCE) as session, MetricsSubscriber(session, RUN, note):
         print("ready", flush=True)
         for _ in sys.stdin:
-            print(len(heard), flush=True)
+            print(len(reported), flush=True)
 
 
 if __name__ == "__main__":

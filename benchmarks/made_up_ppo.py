@@ -13,7 +13,7 @@ from stable_baselines3.common.buffers import DictRolloutBuffer
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from benchmarks.experience import made_up_chunk
+from benchmarks.experience import synthetic_chunk
 from benchmarks.peers.network import HIDDEN
 from benchmarks.peers.stable_baselines import Features
 
@@ -21,7 +21,7 @@ ENVIRONMENTS, STEPS, BATCH, SIZE = 32, 128, 512, 32
 
 
 class _Seen(gymnasium.Env):
-    """Spaces alone: nobody drives."""
+    """Only spaces; it is not driven."""
 
     observation_space = spaces.Dict(
         {
@@ -52,7 +52,7 @@ def made_up_ppo() -> PPO:
     buffer = model.rollout_buffer
     assert isinstance(buffer, DictRolloutBuffer)
     random = np.random.default_rng(0)
-    images = np.stack([made_up_chunk(STEPS - 1, seed=seed).images for seed in range(ENVIRONMENTS)], axis=1)
+    images = np.stack([synthetic_chunk(STEPS - 1, seed=seed).images for seed in range(ENVIRONMENTS)], axis=1)
     buffer.observations["image"][:] = images.transpose(0, 1, 4, 2, 3)
     for column in (buffer.observations["motion"], buffer.actions):
         column[:] = random.uniform(-1, 1, column.shape)

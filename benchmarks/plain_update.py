@@ -21,7 +21,7 @@ LEVELS = ("intention", "trajectory")
 
 
 class Trunk(nn.Module):
-    """Convolutions, a dense layer that takes the motion in, and perhaps an LSTM."""
+    """Convolutions, a dense layer that joins image and motion, and optionally an LSTM."""
 
     def __init__(self, image_size: int, channels: int, motion: int, hidden: int, units: int) -> None:
         super().__init__()
@@ -159,7 +159,7 @@ class PlainUpdate:
     def _critic_losses(self, data: Decisions) -> tuple[Tensor, dict[str, Tensor]]:
         with torch.no_grad():
             targets = self._targets(data)
-        contexts = data.now(self.networks.trunk)
+        contexts = data.current(self.networks.trunk)
         losses = {}
         above = contexts[:, :0]
         for name in LEVELS:
@@ -182,7 +182,7 @@ class PlainUpdate:
 
     @torch.no_grad()
     def _worth(self, contexts: Tensor, intention: Tensor) -> Tensor:
-        """What the trajectory critics say of the trajectory planner's decision under an intention."""
+        """The trajectory critics' value of the trajectory planner's decision for an intention."""
         level = self.networks.trajectory
         action = self._smoothed(self._reached(level.decide(contexts, intention)))
         return self._smaller(level, contexts, intention, action).softmax(1)
@@ -199,13 +199,13 @@ class PlainUpdate:
         return torch.where((self._mean(first) < self._mean(second))[:, None], first, second)
 
     def _targets(self, data: Decisions) -> dict[str, Tensor]:
-        contexts = data.following(self.target.trunk)
+        contexts = data.next(self.target.trunk)
         targets = {}
         above = contexts[:, :0]
         for name in LEVELS:
             level = self.target.level(name)
             action = self._smoothed(self._reached(level.decide(contexts, above)))
-            if name == "trajectory":  # what the intention is worth is asked here and now
+            if name == "trajectory":  # the value of the intention is computed for the same step
                 smaller = self._smaller(level, contexts, above, action)
                 targets[name] = self._projected(data.reward[name], data.discount, smaller.softmax(1))
             above = torch.cat([above, action], 1)
@@ -222,7 +222,7 @@ class PlainUpdate:
             gain = gain - self.settings.saturation_penalty * raw.square().sum(1)
             if number == 0:
                 below = self.networks.trajectory
-                below.requires_grad_(False)  # it learns from its own value alone
+                below.requires_grad_(False)  # it only learns from its own value
                 followed = self._reached(below.decide(contexts, action))
                 joint = self._mean(below.ask(0, contexts, action, followed))
                 below.requires_grad_(True)
@@ -307,14 +307,14 @@ class Decisions:
             name: (self._tensor(actions[name]) - update.centre[name]) / update.half[name] for name in LEVELS
         }
 
-    def now(self, trunk: Trunk) -> Tensor:
+    def current(self, trunk: Trunk) -> Tensor:
         """Contexts of the decisions, [n, context]."""
         if self._rows is None:
             return trunk.features(self._images[0], self._motion[0])
         step, row, _ = self._rows
         return trunk.unroll(self._images[:-1], self._motion[:-1], self._state)[step, row]
 
-    def following(self, trunk: Trunk) -> Tensor:
+    def next(self, trunk: Trunk) -> Tensor:
         """Contexts where their targets look, [n, context]."""
         if self._rows is None:
             return trunk.features(self._images[1], self._motion[1])

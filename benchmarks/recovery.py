@@ -1,18 +1,18 @@
-"""How soon a run goes on after each fault: killed, paused for longer than the lease, cut off.
+"""How soon a run recovers after each fault: killed, paused for longer than the lease, disconnected.
 
-A real run, each service a process of its own: learner, an actor at the learner, one behind a router, an
-evaluator. The clock starts when a paused one goes on, the network is mended, or the successor of a killed
-process is started. Of the last it is told, too, when it is there: has loaded everything and takes part under
-its name, which is most of the time on a machine that is busy with the rest of the run; for comparison a
-Python is started beside the run that loads nothing but the libraries. The run goes on when a chunk of every
-actor that was hit is in the learner's log and the count of updates rises; an evaluator when it says something
-again. At the end every chunk has to be in the log once, and all that the actors were told of.
+A real run with each service in a separate process: learner, an actor at the learner, one behind a router, an
+evaluator. The clock starts when a paused process is resumed, the network is restored, or a killed process is
+restarted. For a restart, the time until the service is present is reported as well: it has loaded everything
+and takes part under its name, which is most of the time on a busy machine. For comparison, a Python that only
+loads the libraries is started beside the run. The run has recovered when a chunk of every affected actor is
+in the learner's log and the count of updates rises; an evaluator when it reports again. At the end every
+chunk must be in the log once, and all acknowledged chunks must be there.
 
     python -m benchmarks.recovery                   about seven minutes
     python -m benchmarks.recovery --pause 8 --rounds 1
     python -m benchmarks.recovery --cuts 7 8 9 10   only cut networks, for so long each
 
-A partition takes root, `ip` and `iptables`; without them that row is left out.
+A partition needs root, `ip` and `iptables`; without them that row is skipped.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from athrl.ports import free_address
 from athrl_protocol import PolicySubscriber, PolicyUpdate, PresenceWatcher
 
-from benchmarks.router import free_address
 from tests.conftest import Command
 from tests.liveness import network
 from tests.liveness.fleet import RUN, STARTING, Fleet
@@ -45,9 +45,9 @@ SETTINGS = {
     "environment.vehicles": 30,
     "exploration.random_decisions": 200,
     "learner.samples_per_insert": 1.0,  # so that the actors never wait for training
-    "learner.publish_seconds": 0.1,  # a publication tells the count of updates
+    "learner.publish_seconds": 0.1,  # a publication contains the count of updates
     "learner.checkpoint_seconds": 20.0,
-    "learner.checkpoints_kept": 1000,  # the whole log is looked through at the end
+    "learner.checkpoints_kept": 1000,  # the complete log is checked at the end
     "actor.environments": 2,
     "evaluator.episodes": 2,
     "evaluator.seconds_between": 0.0,
@@ -59,41 +59,41 @@ _PATIENCE = 120.0
 
 
 class Updates:
-    """The learner's count of updates, as its publications tell it."""
+    """The learner's count of updates, from its publications."""
 
     def __init__(self) -> None:
-        self._told: list[tuple[float, int]] = []
+        self._publications: list[tuple[float, int]] = []
 
     def take(self, policy: PolicyUpdate) -> None:
-        """Hear of a publication."""
-        self._told.append((time.monotonic(), policy.updates))
+        """Record a publication."""
+        self._publications.append((time.monotonic(), policy.updates))
 
-    def rose_after(self, moment: float, anew: bool) -> float | None:
-        """When it was first heard to rise after `moment`; `anew`: above what a new learner begins with."""
-        later = [updates for at, updates in self._told if at > moment]
-        earlier = [updates for at, updates in self._told if at <= moment]
-        known = min(later[:1] if anew else earlier[-1:], default=None)
+    def rose_after(self, moment: float, restarted: bool) -> float | None:
+        """When it first rose after `moment`; `restarted`: above the first count of a restarted learner."""
+        later = [updates for at, updates in self._publications if at > moment]
+        earlier = [updates for at, updates in self._publications if at <= moment]
+        known = min(later[:1] if restarted else earlier[-1:], default=None)
         if known is None:
             return None
-        return next((at for at, updates in self._told if at > moment and updates > known), None)
+        return next((at for at, updates in self._publications if at > moment and updates > known), None)
 
 
 class Arrivals:
-    """When each service was last seen to come."""
+    """When each service last appeared."""
 
     def __init__(self) -> None:
         self.at: dict[str, float] = {}
         self._present: frozenset[str] = frozenset()
 
     def take(self, present: frozenset[tuple[str, str]]) -> None:
-        """Hear of a change."""
+        """Record a change."""
         names = frozenset(name for _, name in present)
         self.at |= dict.fromkeys(names - self._present, time.monotonic())
         self._present = names
 
 
 class Trial:
-    """A fleet at work, and what was measured on it: when the run goes on, and when a killed one is there."""
+    """A running fleet and its measurements: times until recovery, and until services are present."""
 
     def __init__(self, fleet: Fleet) -> None:
         self.fleet = fleet
@@ -102,7 +102,7 @@ class Trial:
         self.seconds: defaultdict[str, list[dict[str, float]]] = defaultdict(list)
 
     def kill(self, name: str, actors: Iterable[str]) -> None:
-        """Kill a service, and start its successor at once."""
+        """Kill a service, and restart it at once."""
         self.fleet.kill(name)
         self._measure(f"{name} killed", lambda: self.fleet.start_again(name), actors, name)
 
@@ -110,18 +110,18 @@ class Trial:
         """Pause a service."""
         self.fleet.signal([name], signal.SIGSTOP)
         time.sleep(seconds)
-        go_on = lambda: self.fleet.signal([name], signal.SIGCONT)  # noqa: E731
-        self._measure(f"{name} paused {seconds:g} s", go_on, actors, name)
+        resume = lambda: self.fleet.signal([name], signal.SIGCONT)  # noqa: E731
+        self._measure(f"{name} paused {seconds:g} s", resume, actors, name)
 
     def load_alone(self, libraries: str) -> None:
-        """Start a Python beside the run that does nothing but load these: no successor is there before."""
+        """Start a Python beside the run that only loads these libraries: a lower bound for a restart."""
         began = time.monotonic()
         subprocess.run([sys.executable, "-c", f"import {libraries}"], check=True, timeout=_PATIENCE)
         after = {"all": time.monotonic() - began}
         self.seconds[f"(import {libraries})"].append(after)
 
     def cut(self, island: network.Network, seconds: float) -> None:
-        """Let nothing through to an actor and a router, the distant actor's."""
+        """Disconnect an actor, and the router of another actor."""
         island.cut()
         time.sleep(seconds)
         self._measure(f"network cut {seconds:g} s", island.mend, ACTORS, "")
@@ -136,17 +136,17 @@ class Trial:
             for name in [name for name in waiting if name.encode() in content]:
                 waiting.discard(name)
                 after[name] = now - began
-            rose = self.updates.rose_after(began, anew=who == "learner" and "killed" in fault)
+            rose = self.updates.rose_after(began, restarted=who == "learner" and "killed" in fault)
             if rose is not None:
                 after["updates"] = rose - began
-            heard = who != "evaluator" or self.fleet.heard_at["evaluator"] > began
-            if who == "evaluator" and heard:
-                after["words"] = self.fleet.heard_at["evaluator"] - began
+            reported = who != "evaluator" or self.fleet.last_report_at["evaluator"] > began
+            if who == "evaluator" and reported:
+                after["words"] = self.fleet.last_report_at["evaluator"] - began
             there = "killed" not in fault or self.arrivals.at[who] > began
-            if not waiting and rose is not None and heard and there:
+            if not waiting and rose is not None and reported and there:
                 break
             if now - began > _PATIENCE:
-                raise SystemExit(f"the run does not go on\n{self.fleet.story(self.fleet.processes)}")
+                raise SystemExit(f"the run does not recover\n{self.fleet.story(self.fleet.processes)}")
             time.sleep(_POLL)
         after["all"] = max(after.values())
         if "killed" in fault:
@@ -158,7 +158,7 @@ class Trial:
 
 @contextlib.contextmanager
 def whole_run(folder: Path, island: network.Network | None) -> Iterator[Fleet]:
-    """Every service at work; with an island an actor and the router are there. All are gone at the end."""
+    """All services running; with an island an actor and the router are in it. All end at the end."""
     command = Command(folder)
     port = free_address().rpartition(":")[2]
     address = f"tcp/{island.here if island else '127.0.0.1'}:{port}"
@@ -183,7 +183,7 @@ def whole_run(folder: Path, island: network.Network | None) -> Iterator[Fleet]:
 
 @contextlib.contextmanager
 def at_work(fleet: Fleet) -> Iterator[Trial]:
-    """Wait until everybody works, and let them leave at the end, which checks every chunk."""
+    """Wait until all services work; end them at the end and check every chunk."""
     trial = Trial(fleet)
     with (
         fleet.watch() as session,
@@ -194,7 +194,7 @@ def at_work(fleet: Fleet) -> Iterator[Trial]:
         if "evaluator" in fleet.processes:
             fleet.await_word("evaluator", STARTING)
         deadline = time.monotonic() + STARTING
-        while trial.updates.rose_after(0.0, anew=True) is None:
+        while trial.updates.rose_after(0.0, restarted=True) is None:
             if time.monotonic() > deadline:
                 raise SystemExit(f"nothing is trained\n{fleet.story(['learner'])}")
             time.sleep(_POLL)
@@ -204,7 +204,7 @@ def at_work(fleet: Fleet) -> Iterator[Trial]:
 
 
 def faults_of_processes(rounds: int, pause: float) -> dict[str, list[dict[str, float]]]:
-    """Kill and pause everybody in turn."""
+    """Kill and pause each service in turn."""
     with (
         tempfile.TemporaryDirectory() as folder,
         whole_run(Path(folder), None) as fleet,
@@ -222,7 +222,7 @@ def faults_of_processes(rounds: int, pause: float) -> dict[str, list[dict[str, f
 
 
 def partition(cuts: Iterable[float]) -> dict[str, list[dict[str, float]]]:
-    """Cut an actor and a router off, for so many seconds each time."""
+    """Disconnect an actor and a router for each of these durations."""
     with (
         tempfile.TemporaryDirectory() as folder,
         network.Network() as island,

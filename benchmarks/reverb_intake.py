@@ -1,6 +1,6 @@
-"""What a dm-reverb server takes in from 1, 4 and 16 writers: what `benchmarks.intake` measures, beside it.
+"""How much a dm-reverb server receives from 1, 4 and 16 writers, for comparison with `benchmarks.intake`.
 
-dm-reverb needs a TensorFlow and a NumPy that the rest does not fit, so it has an environment of its own:
+dm-reverb needs versions of TensorFlow and NumPy that conflict with the rest, so it has its own environment:
 
     python3.11 -m venv reverb && reverb/bin/pip install "dm-reverb[tensorflow]==0.14.0"
     reverb/bin/python -m benchmarks.reverb_intake
@@ -47,7 +47,7 @@ def columns(seed: int) -> dict[str, np.ndarray]:
 
 
 def write(port: str) -> None:
-    """Be a writer until the input is closed."""
+    """Write until the input is closed."""
     import threading
 
     import reverb
@@ -62,12 +62,12 @@ def write(port: str) -> None:
             writer.append(chunks[sent % _READY])
             trajectory = {name: column[-1:] for name, column in writer.history.items()}
             writer.create_item(_TABLE, priority=1.0, trajectory=trajectory)
-            writer.flush(block_until_num_items=8)  # so many may be under way, as in our window
+            writer.flush(block_until_num_items=8)  # as many may be in flight as in our window
             sent += 1
 
 
 def rate(writers: int, seconds: float) -> float:
-    """Transitions a second that the server takes in."""
+    """Transitions a second that the server receives."""
     import reverb
 
     table = reverb.Table(

@@ -1,9 +1,9 @@
 """How fast environments step, one and a batch of 64, beside stock highway-env with as many vehicles.
 
 A step is one simulated tick of town03 with 100 vehicles, bird's eye view and lidar included. All are driven
-with the middle of their action spaces and, as they share the machine's moods, in turns. One environment and
+with the middle of their action spaces, in turns, as the speed of the machine varies. One environment and
 its peers are measured in CPU seconds of one core, without resets and with them; a batch in seconds of the
-clock on two cores, resets included, as it begins its next episodes by itself.
+clock on two cores, resets included, as it starts its next episodes itself.
 
 The peers are stock highway-env: highway-v0 as it is, and highway-v0 with an image of about the same content,
 an occupancy grid of 32 x 32 cells with the road in it; both observe every frame, as the town does.
@@ -34,7 +34,7 @@ TURNS = 5
 
 
 class Lap:
-    """Steps one environment for a while and counts frames and CPU seconds of this process."""
+    """Steps one environment and counts frames and CPU seconds of this process."""
 
     def __init__(self, environment: gymnasium.Env, action: object) -> None:
         self.environment = environment

@@ -17,15 +17,10 @@ import sys
 import time
 from collections.abc import Iterator
 
+from athrl.ports import free_address
+
 KINDS = ("nothing", "router", "zenohd")
 _PATIENCE = 60.0
-
-
-def free_address() -> str:
-    """An address of this machine at which nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @contextlib.contextmanager

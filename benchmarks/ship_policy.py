@@ -17,7 +17,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from athrl_evaluator.shipped_policies import FOLDER, ship
+from athrl_evaluator.policies.shipped import FOLDER, ship
 
 SCORES = ("return_mean", "return_ci95", "collision_rate", "off_lane_rate", "full_episode_rate", "speed_mps")
 
@@ -28,12 +28,18 @@ LIMITS = [
 
 
 def scored(policy: str, town: str, episodes: int, seed: int) -> dict[str, float]:
-    """What `athrl evaluate` says of a policy or driver in a town."""
+    """Scores of a policy or driver in a town by `athrl evaluate`."""
     command = [sys.executable, "-m", "athrl", "evaluate", "--policy", policy, "--town", town, "--json"]
     command += ["--episodes", str(episodes), "--seed", str(seed)]
     said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     scores = json.loads(said.splitlines()[-1])
     return {name: round(scores[name], 4) for name in SCORES}
+
+
+def present_commit() -> str:
+    """The checked out commit, shortened; empty outside a repository."""
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def main() -> None:
@@ -45,6 +51,9 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=300)
     parser.add_argument("--seed", type=int, default=700_000)
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the policies")
+    here = f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}"
+    parser.add_argument("--machine", default=here, help="it was trained on, in a few words")
+    parser.add_argument("--commit", help="of the program that trained it; by default the present one")
     arguments = parser.parse_args()
     settings = tomllib.loads((arguments.run / "run.toml").read_text())
     policy = arguments.run / "policies" / "latest.onnx"
@@ -57,18 +66,14 @@ def main() -> None:
             key = name if len(towns) == 1 else f"{name} in {town}"
             scores[key] = scored(driver, town, arguments.episodes, arguments.seed)
             print(key, scores[key], flush=True)
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    ).stdout.strip()
-    cores = len(os.sched_getaffinity(0))
     shipped = ship(
         policy.read_bytes(),
         arguments.name,
         arguments.folder,
         purpose=arguments.purpose,
-        trained=f"athrl train, {told['updates']} updates, {cores} cores, {platform.machine()}, "
+        trained=f"athrl train, {told['updates']} updates, {arguments.machine}, "
         f"seed {settings['run']['seed']}",
-        commit=commit,
+        commit=arguments.commit or present_commit(),
         decisions=int(told["environment_steps"]),
         town=", ".join(towns),
         scores=scores,

@@ -1,16 +1,15 @@
 """What it costs an actor to stream its experience: its own code, beside the same rollout without.
 
 The actor is the real one, in this process: environments, perception, exploration, the planner's policy in
-ONNX Runtime, chunks, upload. Its learner is a process of its own which takes chunks in, writes them down and
-acknowledges them, without training; it shares the machine. In turns the actor streams, and drives the same
-environments without gathering, encoding or sending anything. A decision's cost is told by thread: gathering
-is what the driving thread does of it, with a check of each chunk; the uploader's thread encodes, sends and
-hears answers; Zenoh's own threads are the network. These are counted as they work. Inference and simulation
-beside them may be slower, or faster, than alone, by caches and cores that they share with both and with the
-learner: that is told apart, as the difference between turns, which is far less certain. Each figure is the
-median over many pairs of short turns, one of each kind right after the other, as other work on the machine
-comes and goes. Check, encoding and, within that, compression are measured alone as well, on chunks that were
-sent.
+ONNX Runtime, chunks, upload. Its learner is a separate process which receives, logs and acknowledges chunks,
+without training; it shares the machine. In turns the actor streams, and drives the same environments without
+gathering, encoding or sending. The cost of a decision is given by thread: gathering is the part of the
+driving thread, with a check of each chunk; the uploader's thread encodes, sends and reads answers; Zenoh's
+own threads are the network. These are measured directly. Inference and simulation may become slower or faster
+because of shared caches and cores: that is reported separately, as the difference between turns, which is far
+less certain. Each figure is the median over many pairs of short turns, one of each kind directly after the
+other, as other load on the machine varies. Check, encoding and, within that, compression are also measured
+alone, on the sent chunks.
 """
 
 from __future__ import annotations
@@ -30,15 +29,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from athrl.runs import know_planners
+from athrl.ports import free_address
+from athrl.runs import declare_installed_planners
 from athrl_actor.actor import ROLE, Actor
 from athrl_actor.rollout import Rollout
 from athrl_protocol import Chunk, RunFile, join_run, read_run_file
-from athrl_protocol.chunk import check_chunk
-from athrl_protocol.chunk_codec import Identity, encode_checked
-from athrl_protocol.image_codec import Compression, pack_images
-
-from benchmarks.router import free_address
+from athrl_protocol.codec.chunks import Identity, encode_checked
+from athrl_protocol.codec.images import Compression, pack_images
+from athrl_protocol.messages.chunk import check_chunk
 
 RUN = "benchmark"
 NAME = "streaming"
@@ -48,9 +46,9 @@ _KINDS = ("driving", "upload", "network")
 
 
 def learner(address: str, overrides: list[str], folder: str, policy: Path | None) -> None:
-    """Be the learner until the input is closed: publish one policy, take chunks in."""
+    """Run the learner until the input is closed: publish one policy, receive chunks."""
     from athrl.doctor.light_learner import WritingReceiver
-    from athrl_learner import translation
+    from athrl_learner import factories
     from athrl_planners import PolicyExporter
     from athrl_protocol import (
         ChunkIntake,
@@ -61,10 +59,10 @@ def learner(address: str, overrides: list[str], folder: str, policy: Path | None
         serve_run_file,
     )
 
-    know_planners()
+    declare_installed_planners()
     run_file = read_run_file(None, overrides)
-    log = translation.make_log(run_file, Path(folder))
-    untrained = translation.make_agent(run_file)
+    log = factories.make_log(run_file, Path(folder))
+    untrained = factories.make_agent(run_file)
     artefact = policy.read_bytes() if policy else PolicyExporter(untrained).artefact()
     with (
         open_session(listen=address, timeout=_PATIENCE) as session,
@@ -81,7 +79,7 @@ def learner(address: str, overrides: list[str], folder: str, policy: Path | None
 
 @contextlib.contextmanager
 def learner_process(overrides: list[str], policy: Path | None) -> Iterator[str]:
-    """A learner in a process of its own; gives its address."""
+    """A learner in a separate process; yields its address."""
     address = free_address()
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "benchmarks.streaming", "--learner", address, "--folder", folder]
@@ -96,7 +94,7 @@ def learner_process(overrides: list[str], policy: Path | None) -> Iterator[str]:
 
 
 class SilentRollout(Rollout):
-    """Decides and drives, and keeps nothing of it while `silent`."""
+    """Decides and drives; stores nothing while `silent`."""
 
     silent = False
     kept: list[Chunk]
@@ -114,7 +112,7 @@ class SilentRollout(Rollout):
 
 
 class Turn(NamedTuple):
-    """What a decision took in one turn, microseconds: by the clock, and CPU time by kind of thread."""
+    """Time of a decision in one turn, microseconds: by the clock, and CPU time by kind of thread."""
 
     decisions: int
     clock: float
@@ -167,11 +165,11 @@ class Measured:
         self._drive(2.0)
 
     def turn(self, streaming: bool) -> Turn:
-        """Drive for a while in one of the two ways."""
+        """Drive for some seconds in one of the two ways."""
         main = threading.get_native_id()
         self._drive(0.1)  # both begin with full queues and warm caches
         if not streaming:
-            self._actor._hand_over(self.rollout.flush())
+            self._actor._submit(self.rollout.flush())
             self._actor._uploader.flush(_PATIENCE)
         self.rollout.silent = not streaming
         self.rollout.gathering = 0.0
@@ -194,7 +192,7 @@ class Measured:
             if actor._may_drive():
                 chunks = actor._drive()
                 began = time.thread_time()
-                actor._hand_over(chunks)
+                actor._submit(chunks)
                 self.rollout.gathering += time.thread_time() - began
                 steps += 1
         return steps * len(self.rollout)
@@ -216,8 +214,7 @@ def measure(run_file: RunFile, address: str, seconds: float) -> dict[str, float]
     with contextlib.ExitStack() as stack:
         joined = join_run(role=ROLE, connect=address, run=RUN, name=NAME, stop=stop, stack=stack)
         assert joined is not None
-        session, _ = joined
-        actor = Actor(session, run_file, NAME, stop, stack)
+        actor = Actor(joined.session, run_file, NAME, stop, stack)
         measured = Measured(actor)
         measured.warm_up()
         turns = max(1, round(seconds / _TURN_SECONDS / 2))
@@ -295,7 +292,7 @@ def main() -> None:
         learner(arguments.learner, arguments.set, arguments.folder, arguments.policy)
         return
     overrides = [f"run.name={RUN}", "run.environment_steps=1000000000", *arguments.set]
-    know_planners()
+    declare_installed_planners()
     run_file = read_run_file(None, overrides)
     load = os.getloadavg()[0]
     with learner_process(overrides, arguments.policy) as address:

@@ -1,4 +1,4 @@
-"""How fast highway-env's own traffic runs in kernels (`athrl_driving.accelerate`), beside highway-env itself.
+"""How fast highway-env's own traffic runs in kernels (`athrl_accelerate`), beside highway-env itself.
 
 Both run the same frames of the same scenes, in turns, on one core: before every frame the accelerated road
 gets the state of the slow one, then each is timed and their results are compared. A frame is `road.act()`
@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import gymnasium
 import highway_env  # noqa: F401  (importing it registers its environments)
 import numpy as np
-from athrl_driving import accelerate
-from athrl_driving.highway.parity import copy_state, difference
-from athrl_driving.highway.road import accelerate_road
+from athrl_accelerate import accelerate
+from athrl_accelerate.parity import copy_state, difference
+from athrl_accelerate.road import accelerate_road
 from athrl_driving.maps import load_town
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import LaneIndex, Road, RoadNetwork

@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 import torch
 from athrl_planners import Agent, Sequence, SequenceReplay, make_agent
-from athrl_planners.making import make_replay
-from athrl_planners.precision import faster_precision
+from athrl_planners.factories import make_replay
+from athrl_planners.training.precision import faster_precision
 from athrl_spaces import Observation
 
-from benchmarks.experience import made_up_chunk
+from benchmarks.experience import synthetic_chunk
 from benchmarks.plain_update import PlainUpdate
 
 DECISIONS = 20_000  # in the replay
@@ -101,7 +101,7 @@ def filled(agent: Agent, capacity: int = DECISIONS, priority: tuple[float, float
     replay = make_replay(agent, capacity, LENGTH, 0, priority)
     random = np.random.default_rng(0)
     levels = agent.description.levels
-    made = [made_up_chunk(LENGTH, seed=seed) for seed in range(DIFFERENT)]
+    made = [synthetic_chunk(LENGTH, seed=seed) for seed in range(DIFFERENT)]
     for number in range(replay.slots):
         chunk = made[number % DIFFERENT]
         replay.insert(
@@ -155,18 +155,18 @@ def contestants(shape: str, device: str, precision: torch.dtype) -> list[Contest
 
 
 def measured(shape: str, peer: Contestant | None, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Everybody in turns on batches of one shape."""
-    everybody = contestants(shape, arguments.device, arguments.dtype)
-    for each in everybody:
+    """Measure all contestants in turns on batches of one shape."""
+    compared = contestants(shape, arguments.device, arguments.dtype)
+    for each in compared:
         each.warm_up()
     if peer is not None:
         peer.rates.clear()
         peer.rates_a_core.clear()
-        everybody.append(peer)
+        compared.append(peer)
     for _ in range(arguments.turns):
-        for each in everybody:
+        for each in compared:
             each.turn(arguments.seconds)
-    rates = {name: rate for each in everybody for name, rate in each.figures().items()}
+    rates = {name: rate for each in compared for name, rate in each.figures().items()}
     ratios = {}
     for name, rate in rates.items():
         other, core, _ = name.partition("_a_core")

@@ -1,5 +1,9 @@
 #!/usr/bin/env bash
-# Builds the images of the services; `build-images.sh learner actor` builds only those.
+# Builds the images of the services; `build-images.sh learner actor` builds only those. `build-images.sh prometheus`
+# builds the one of the profile `monitoring`.
+#
+# TORCH=gpu builds athrl/learner:gpu, with what torch loads on a GPU. TORCH_INDEX_URL names an index of torch's builds
+# for processors alone, whose learner is the smallest.
 #
 # What this machine's pip needs to reach a package registry goes into the build, and not into the images:
 # PIP_INDEX_URL, PIP_EXTRA_INDEX_URL, PIP_TRUSTED_HOST, PIP_DEFAULT_TIMEOUT, the proxy variables, and the
@@ -8,7 +12,10 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 services=("$@")
-[ ${#services[@]} -gt 0 ] || services=(learner actor evaluator)
+[ ${#services[@]} -gt 0 ] || services=(actor evaluator learner)
+
+version=$(sed -n 's/^version = "\(.*\)"$/\1/p' athrl/pyproject.toml)
+revision=$(git rev-parse HEAD 2>/dev/null || echo unknown)
 
 deploy/base-image.sh
 
@@ -35,7 +42,21 @@ for name in PIP_INDEX_URL PIP_EXTRA_INDEX_URL PIP_TRUSTED_HOST PIP_DEFAULT_TIMEO
     [ -z "${!name:-}" ] || arguments+=(--build-arg "$name")
 done
 
-for service in "${services[@]}"; do
-    echo "building athrl/$service"
-    docker build "${arguments[@]}" --file "deploy/$service.Dockerfile" --tag "athrl/$service" .
+for name in TORCH TORCH_INDEX_URL; do
+    [ -z "${!name:-}" ] || arguments+=(--build-arg "$name")
 done
+arguments+=(--build-arg "VERSION=$version" --build-arg "REVISION=$revision"
+    --build-arg "BASE_DIGEST=$(docker image inspect --format '{{.Id}}' debian:bookworm-slim)")
+
+tag=latest
+[ "${TORCH:-cpu}" = cpu ] || tag=$TORCH
+for service in "${services[@]}"; do
+    if [ "$service" = prometheus ]; then
+        echo "building athrl/prometheus ($SECONDS s)"
+        docker build "${arguments[@]}" --tag athrl/prometheus deploy/monitoring
+        continue
+    fi
+    echo "building athrl/$service:$tag ($SECONDS s)"
+    docker build "${arguments[@]}" --file deploy/Dockerfile --target "$service" --tag "athrl/$service:$tag" .
+done
+docker image ls --filter reference='athrl/*' --format 'athrl: {{.Repository}}:{{.Tag}} {{.Size}}'

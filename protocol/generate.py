@@ -21,4 +21,4 @@ def generate(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    generate(Path(sys.argv[1]) if len(sys.argv) > 1 else PROTOCOL / "athrl_protocol")
+    generate(Path(sys.argv[1]) if len(sys.argv) > 1 else PROTOCOL / "athrl_protocol" / "messages")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from athrl.runs import know_planners
+from athrl.runs import declare_installed_planners
 from athrl_protocol.run_file import declare_planners, declared_planners
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # tests is no installed package
@@ -45,6 +44,8 @@ TINY: dict[str, object] = {
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--compose", action="store_true", help="run the tests that build on containers")
+    parser.addoption("--kubernetes", action="store_true", help="run what manifests say in containers")
+    parser.addoption("--slurm", action="store_true", help="run the tests that start a Slurm on this machine")
 
 
 def _hear_interrupts() -> None:
@@ -61,7 +62,13 @@ class Command:
     started: list[subprocess.Popen[str]] = field(default_factory=list)
 
     def environment(self) -> dict[str, str]:
-        return {**os.environ, MARK: self.mark, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+        return {
+            **os.environ,
+            MARK: self.mark,
+            "PYTHONFAULTHANDLER": "1",
+            "OMP_NUM_THREADS": "1",
+            "COLUMNS": "200",
+        }
 
     def run(self, *arguments: str, seconds: float) -> subprocess.CompletedProcess[str]:
         """Run the command to its end, which must come within so many seconds."""
@@ -105,6 +112,22 @@ class Command:
         """Return what a started process has written so far."""
         return process.log.read_text()  # type: ignore[attr-defined]
 
+    def wait_until_said(self, process: subprocess.Popen[str], words: str, seconds: float) -> None:
+        """Wait until a started process has written `words`.
+
+        Fails with all that it has written when it ends before, or does not come to it within so many
+        seconds; in the latter case it writes before where its threads are.
+        """
+        deadline = time.monotonic() + seconds
+        while words not in self.said(process):
+            if process.poll() is not None and words not in self.said(process):
+                pytest.fail(f"ended without {words!r}, with {process.returncode}:\n{self.said(process)}")
+            if time.monotonic() > deadline:
+                process.send_signal(signal.SIGABRT)
+                process.wait(timeout=10)
+                pytest.fail(f"did not say {words!r} within {seconds} s:\n{self.said(process)}")
+            time.sleep(0.1)
+
     def left(self) -> list[psutil.Process]:
         """Return the processes that carry this test's mark and live."""
         found = []
@@ -131,7 +154,7 @@ class Command:
 def _planners() -> Iterator[None]:
     """Run files that a test reads itself are held to the planners' settings, as the command's are."""
     before = declared_planners()
-    know_planners()
+    declare_installed_planners()
     yield
     declare_planners(before)
 
@@ -152,19 +175,6 @@ def shared_command(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command
     command.end_all()
 
 
-def free_port() -> int:
-    """A port of the loopback interface that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-@pytest.fixture
-def port() -> int:
-    """A port of the loopback interface that nobody listens on."""
-    return free_port()
-
-
 def words_of(settings: dict[str, object]) -> list[str]:
     """Settings as words of the command line."""
     return [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
@@ -177,11 +187,11 @@ def tiny(port: int) -> list[str]:
 
 
 @pytest.fixture(scope="session")
-def another_tiny() -> Callable[[dict[str, object]], list[str]]:
-    """Gives such words with changed settings, for a run that listens at a port of its own each time."""
+def another_tiny(free_address: Callable[[], str]) -> Callable[[dict[str, object]], list[str]]:
+    """Gives such words with changed settings, for a run that listens at its own port each time."""
 
     def words(changes: dict[str, object]) -> list[str]:
-        return words_of({**TINY, "network.listen": f"tcp/127.0.0.1:{free_port()}", **changes})
+        return words_of({**TINY, "network.listen": free_address(), **changes})
 
     return words
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import torch
 from athrl.serial.session import run_serial
-from athrl_learner import translation
-from athrl_learner.arrivals import Arrivals
+from athrl_learner import factories
 from athrl_learner.checkpoint import newest_intact_checkpoint
-from athrl_learner.parts import make_experience
-from athrl_learner.snapshot import restore_snapshot
+from athrl_learner.checkpoint.snapshot import restore_snapshot
+from athrl_learner.components import make_experience
+from athrl_learner.intake.arrivals import Arrivals
 from athrl_protocol.run_file import RunFile, read_run_file
 
 
@@ -32,7 +32,7 @@ def torch_left_as_it_was() -> Iterator[None]:
 def drive_serially(
     folder: Path, name: str, settings: Iterable[str], *, resume: bool = False, stop_at: int | None = None
 ) -> bool:
-    """Drive a run in this process, from its beginning or resumed; whether it came to its end."""
+    """Drive a run in this process, new or resumed; return whether it reached its end."""
     run_file = read_run_file(None, [*settings, f"run.folder={folder}", f"run.name={name}"])
     return run_serial(run_file, resume=resume, stop=threading.Event(), stop_at=stop_at)
 
@@ -43,11 +43,9 @@ def everything(folder: Path) -> dict[str, Any]:
     assert found is not None
     _, content = found
     run_file: RunFile = read_run_file(folder / "run.toml", complete=True)
-    agent = translation.make_agent(run_file)
-    store = make_experience(
-        run_file, agent, Arrivals(), translation.make_log(run_file, folder / "experience")
-    )
-    restore_snapshot(content, agent, store, "driven again")
+    agent = factories.make_agent(run_file)
+    store = make_experience(run_file, agent, Arrivals(), factories.make_log(run_file, folder / "experience"))
+    restore_snapshot(content, agent, store, "repeated")
     return {
         "state": {name: value for name, value in content.state.items() if name != "run_file"},
         "agent": content.agent,

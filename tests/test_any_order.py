@@ -2,8 +2,8 @@
 
 import random
 import signal
-import socket
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -15,16 +15,16 @@ DRAIN_SECONDS = 100.0
 STOPPED = {0, 128 + signal.SIGTERM, -signal.SIGTERM}
 """Exit codes of a service that got two signals: drained before the second, ended by it, or about to leave."""
 BEFORE_THE_START = {-signal.SIGINT, -signal.SIGTERM, 130}
-"""Exit codes of a Python that is told to stop before it has loaded the command."""
+"""Exit codes of a Python that is stopped before it has loaded the command."""
 
 
 @pytest.mark.parametrize("seed", range(ROUNDS))
-def test_services_start_and_stop_in_any_order(command, tiny: list[str], port: int, seed: int) -> None:
+def test_services_start_and_stop_in_any_order(
+    command, tiny: list[str], port: int, free_address: Callable[[], str], seed: int
+) -> None:
     dice = random.Random(seed)
     learner = f"tcp/127.0.0.1:{port}"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        router = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    router = free_address()
     where = ["--connect", dice.choice([learner, router]), "--run", "order"]
     services = {
         "learner": ["learner", *tiny, "--set", "run.name=order", "--set", "run.environment_steps=1000000"],
@@ -48,12 +48,12 @@ def test_services_start_and_stop_in_any_order(command, tiny: list[str], port: in
     assert not command.left()
 
 
-def test_second_signal_stops_each_service_at_once(command, eventually, tiny: list[str], port: int) -> None:
+def test_second_signal_stops_each_service_at_once(
+    command, eventually, tiny: list[str], port: int, free_address: Callable[[], str]
+) -> None:
     """Also where the first one is still at work: a paused learner keeps all others from handing over."""
     learner = f"tcp/127.0.0.1:{port}"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        router = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    router = free_address()
     name = ["--set", "run.name=order", "--set", "run.environment_steps=1000000"]
     processes = [
         command.start("learner", *tiny, *name),

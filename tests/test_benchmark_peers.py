@@ -1,4 +1,4 @@
-"""The comparison with other libraries measures what it says, and everybody alike."""
+"""The comparison with other libraries measures what it says, and all contestants alike."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_ours_and_a_peer_are_trained_scored_and_drawn(tmp_path: Path) -> None:
     words = "--minutes 0.05 --only ours,sb3_ppo --vehicles 10 --episodes 2 --points 2 --ours-steps 400"
     settings = ["exploration.random_decisions=200", "actor.environments=8", "learner.publish_seconds=0.5"]
@@ -68,7 +69,7 @@ def test_somebody_unknown_is_refused_by_name() -> None:
 
 def test_peers_are_scored_as_athrl_evaluate_scores() -> None:
     from athrl_driving.policy import OnnxPolicy
-    from athrl_evaluator import evaluate_driver
+    from athrl_evaluator import EvaluationSettings, evaluate_driver
     from athrl_planners import PolicyExporter, make_agent
     from athrl_protocol.run_file import EnvironmentSection
 
@@ -83,9 +84,10 @@ def test_peers_are_scored_as_athrl_evaluate_scores() -> None:
         step = policy.step(seen["image"], seen["motion"], policy.initial_states(8))
         return policy.description.environment_action(step.actions)
 
-    wanted = evaluate_driver(
-        policy, environment=EnvironmentSection(vehicles=30), episodes=8, seed=comparison.first_seed
-    ).as_dict()
+    settings = EvaluationSettings(
+        episodes=8, seed=comparison.first_seed, environment=EnvironmentSection(vehicles=30)
+    )
+    wanted = evaluate_driver(policy, settings).as_dict()
     found = Examination(comparison).score(act)
     assert set(found) == SCORES
     assert found == pytest.approx({name: wanted[name] for name in SCORES}, rel=1e-3)

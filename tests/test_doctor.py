@@ -90,10 +90,13 @@ def test_full_disk_is_named(doctor, full_disk: Path) -> None:
     assert of(report, "run folder")["level"] == "failed"
     assert str(full_disk) in of(report, "run folder")["seen"]
     assert "run.folder" in of(report, "run folder")["remedy"]
-    assert of(report, "delivery")["seen"].startswith(f"not tried: {full_disk}")
+    assert of(report, "delivery")["seen"].startswith(f"not tested: {full_disk}")
 
 
-def test_absent_learner_is_one_failed_line(command, port: int) -> None:
+def test_absent_learner_is_one_failed_line_also_where_output_is_ascii(
+    command, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
     result = command.run("doctor", "--connect", f"tcp/127.0.0.1:{port}", seconds=SECONDS)
     assert result.returncode == 1, result.stderr
     lines = [line for line in result.stdout.splitlines() if line.startswith("failed")]
@@ -102,9 +105,9 @@ def test_absent_learner_is_one_failed_line(command, port: int) -> None:
     assert result.stdout.splitlines()[-1].endswith("1 failed")
 
 
-def test_live_run_is_described(command, doctor, tiny: list[str], port: int, eventually) -> None:
+def test_live_run_is_described(command, doctor, tiny: list[str], port: int) -> None:
     learner = command.start("learner", *tiny, "--set", "run.name=patient")
-    eventually(lambda: "listens at" in command.said(learner), SECONDS)
+    command.wait_until_said(learner, "listens at", SECONDS)
     code, report = doctor("--connect", f"tcp/127.0.0.1:{port}", "--run", "patient")
     assert code == 0, report
     assert "run patient" in of(report, "release")["seen"]

@@ -1,6 +1,7 @@
-"""A whole run through the command: it grows, ends, is compared, is interrupted and goes on."""
+"""A complete run by the command: it grows, ends, is compared, is interrupted and resumed."""
 
 import json
+import re
 import signal
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,10 @@ def checkpoints(folder: Path) -> list[Path]:
     return sorted((folder / "checkpoints").glob("*"))
 
 
-def test_run_trains_evaluates_and_ends_by_itself(command, tiny: list[str], tmp_path: Path) -> None:
+def test_run_trains_evaluates_and_ends_by_itself(
+    command, tiny: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")  # in which output has signs that it lacks
     arguments = ["--name", "short", "--actors", "1", "--viewer-port", "0"]
     result = command.run("train", *tiny, *arguments, seconds=RUN_SECONDS)
     assert result.returncode == 0, result.stderr
@@ -35,6 +39,10 @@ def test_run_trains_evaluates_and_ends_by_itself(command, tiny: list[str], tmp_p
         "actor-1.log",
         "evaluator.log",
     }
+    log = (folder / "logs" / "learner.log").read_text()
+    assert re.search(r"(warming up|training): \d+ of 800 environment steps", log)
+    for driver in (f"policy {comparison['policy_version']}", "random", "blind", "rule-based"):
+        assert re.search(rf"{driver} in town03: 2 episodes, return -?\d+ \+- \d+, ", log)
     assert not command.left()
 
     policy = folder / "policies" / "latest.onnx"
@@ -115,11 +123,11 @@ def test_killed_actor_and_killed_learner_are_started_again(
     run = command.start("train", *tiny, *arguments)
     eventually(lambda: status().get("updates", 0) > 20, 120)
     kill("actor")
-    eventually(lambda: "actor-1 was ended by signal 9" in command.said(run), 30)
+    command.wait_until_said(run, "actor-1 was ended by signal 9", 30)
     eventually(lambda: "actor-1" in status().get("actors", {}), 60)
-    # The learner's first checkpoint is two seconds old by now: it goes on from there.
+    # The learner's first checkpoint is two seconds old by now: it resumes from there.
     kill("learner")
-    eventually(lambda: "learner was ended by signal 9" in command.said(run), 30)
+    command.wait_until_said(run, "learner was ended by signal 9", 30)
     eventually(lambda: status().get("updates", 0) > 20, 120)
     run.send_signal(signal.SIGINT)
     assert run.wait(timeout=90) == 130, command.said(run)

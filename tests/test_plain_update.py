@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from athrl_planners import Agent, Sequence, SequenceReplay, make_agent
-from athrl_planners.making import make_replay
+from athrl_planners.factories import make_replay
 
 ROOT = Path(__file__).parents[1]
 UPDATES = 8

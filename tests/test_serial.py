@@ -1,4 +1,4 @@
-"""A serial run repeats itself bit for bit: run again, stopped, interrupted or killed and gone on with."""
+"""A serial run is repeatable bit for bit: repeated, or stopped, interrupted or killed and resumed."""
 
 import random
 import shutil
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from athrl_learner import CannotResume
 from athrl_learner.checkpoint import newest_intact_checkpoint
-from athrl_learner.segments import numbered_segments
+from athrl_learner.log import numbered_segments
 from athrl_protocol.run_file import read_run_file
 
 from tests.serial_runs import drive_serially, everything, require_equal, torch_left_as_it_was
@@ -60,14 +60,14 @@ def torch_as_it_was() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of all runs, with one in it that nobody interrupted: `whole`."""
+    """The folder of all runs, with an uninterrupted one in it: `whole`."""
     folder = tmp_path_factory.mktemp("serial")
     assert drive(folder, "whole")
     return folder
 
 
 def drive(folder: Path, name: str, *more: str, resume: bool = False, stop_at: int | None = None) -> bool:
-    """Drive a run in this process, from its beginning or resumed; whether it came to its end."""
+    """Drive a run in this process, new or resumed; return whether it reached its end."""
     return drive_serially(folder, name, (*TINY, *more), resume=resume, stop_at=stop_at)
 
 
@@ -110,6 +110,7 @@ def test_two_halves_equal_the_whole_bit_for_bit(command, runs: Path) -> None:
     require_same_run(runs, "halves")
 
 
+@pytest.mark.slow
 def test_stops_at_random_places_change_nothing(runs: Path) -> None:
     places = sorted(random.Random(5).sample(range(1, 600), 7))
     for turn, place in enumerate(places):
@@ -145,6 +146,7 @@ def test_terminated_run_repeats_itself(command, runs: Path) -> None:
     require_same_run(runs, "terminated")
 
 
+@pytest.mark.slow
 def test_killed_run_repeats_itself(command, runs: Path) -> None:
     folder = runs / "killed"
 
@@ -173,8 +175,8 @@ def test_kinds_of_runs_are_told_apart_in_one_line(command, runs: Path) -> None:
     text = (distributed / "run.toml").read_text()
     (distributed / "run.toml").write_text(text.replace("enabled = true", "enabled = false"))
     calls = {
-        "has no learner of its own": ["learner", "--resume", whole],
-        "goes on as one only": ["train", "--resume", whole, "--set", "serial.enabled=false"],
+        "has no separate learner": ["learner", "--resume", whole],
+        "can only be resumed as one": ["train", "--resume", whole, "--set", "serial.enabled=false"],
         "hold no environments": ["train", "--serial", "--resume", str(distributed)],
         "of a serial run": ["learner", "--resume", str(distributed)],
         "--stop-at is for serial runs": ["train", "--stop-at", "5"],
@@ -191,7 +193,7 @@ def test_kinds_of_runs_are_told_apart_in_one_line(command, runs: Path) -> None:
 def test_settings_that_the_environments_do_not_fit_change_nothing(runs: Path) -> None:
     with pytest.raises(CannotResume, match="does not fit the run's settings"):
         drive(runs, "whole", "actor.environments=4", resume=True)
-    with pytest.raises(CannotResume, match="is not where it was"):
+    with pytest.raises(CannotResume, match="is not in its earlier state"):
         drive(runs, "whole", "environment.ticks_per_decision=5", resume=True)
     assert read_run_file(runs / "whole" / "run.toml", complete=True).environment.ticks_per_decision == 4
 

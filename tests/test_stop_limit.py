@@ -8,7 +8,7 @@ import pytest
 
 pytestmark = pytest.mark.timeout(300)
 
-# The command with a limit of some seconds, and something of it that never comes to its end.
+# The command with a limit of some seconds, and with a part that never ends.
 HANGING = """
 import sys, time
 import athrl.services
@@ -19,7 +19,7 @@ from athrl.command import main
 main()
 """
 HANGS = {
-    "learner": ("athrl_learner.checkpointing", "Checkpointer.write_now"),
+    "learner": ("athrl_learner.checkpoint.checkpointer", "Checkpointer.write_now"),
     "actor": ("athrl_actor.actor", "Actor._drain"),
     "evaluator": ("athrl_evaluator.broadcast", "Broadcast.close"),
 }
@@ -68,9 +68,7 @@ def test_service_that_hangs_in_its_drain_is_ended_after_its_limit(
         _, said = services[name].communicate(timeout=60)
         assert services[name].returncode == 1, said
         last = said.splitlines()[-1]
-        assert last.startswith(f"athrl: stopping took more than {LIMIT:g} s and is broken off, in athrl"), (
-            said
-        )
+        assert last.startswith(f"athrl: stopping took more than {LIMIT:g} s and is aborted, in athrl"), said
     assert not command.left()
 
 
@@ -108,5 +106,5 @@ def test_whole_run_that_hangs_in_its_drain_leaves_no_process(
     run.send_signal(signal.SIGTERM)
     _, said = run.communicate(timeout=60)
     assert run.returncode == 1, said
-    assert "is broken off, in athrl" in said
+    assert "is aborted, in athrl" in said
     eventually(lambda: not command.left(), 5)

@@ -1,4 +1,4 @@
-"""A signal ends `athrl watch FILE --serve PORT` quietly, and rerun with it, whoever the signal reaches."""
+"""A signal to either process ends `athrl watch FILE --serve PORT` quietly, and rerun with it."""
 
 import os
 import signal
@@ -23,10 +23,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def watching(command, recording: Path, port: int, eventually) -> subprocess.Popen[str]:
-    """The command in a process group of its own, as a shell starts it, when it shows the recording."""
+def watching(command, recording: Path, port: int) -> subprocess.Popen[str]:
+    """The command in its own process group, as a shell starts it, when it shows the recording."""
     process = command.start("watch", str(recording), "--serve", str(port), within=("setsid",))
-    eventually(lambda: "showing" in command.said(process), START_SECONDS)
+    command.wait_until_said(process, "showing", START_SECONDS)
     return process
 
 
@@ -41,7 +41,7 @@ def test_a_signal_ends_it_with_0_and_without_a_word(command, watching, send, num
 
 
 def test_a_kill_leaves_no_rerun(command, watching, eventually) -> None:
-    assert len(command.left()) == 2, "rerun is a process of its own"
+    assert len(command.left()) == 2, "rerun is a separate process"
     watching.kill()
     watching.wait(SECONDS)
     eventually(lambda: command.left() == [], SECONDS)

@@ -1,1 +1,1 @@
-"""The command: train, evaluate, watch and see the state of a run."""
+"""The command: train, evaluate, watch, and show the state of a run."""

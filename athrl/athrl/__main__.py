@@ -1,15 +1,16 @@
-"""What starts as `athrl` and as `python -m athrl`, which is how `athrl train` starts its services."""
+"""Entry point of `athrl` and of `python -m athrl`, with which `athrl train` starts its services."""
 
 import sys
 
 
 def main() -> None:
-    """Load the command and run it; Ctrl-C meanwhile, which takes a moment, ends it without a word."""
+    """Load the command and run it; Ctrl-C while it is loaded ends it without a message."""
     try:
         from athrl import command
+
+        command.main()
     except KeyboardInterrupt:
         sys.exit(130)
-    command.main()
 
 
 if __name__ == "__main__":

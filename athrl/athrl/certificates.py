@@ -1,13 +1,13 @@
-"""`athrl certificates`: an authority of one's own, and a certificate for each role of a run.
+"""`athrl certificates`: a certificate authority, and a certificate for each role of a run.
 
-The folder holds `authority/` with the authority's key, and for each role a folder with what its service needs
-and nothing else: `ca.crt`, `tls.crt` and `tls.key`, the names that Kubernetes gives them. A role is the
-common name of its certificate; only those of learner and router may serve.
+The folder holds `authority/` with the authority's key, and for each role a folder with exactly the files that
+its service needs: `ca.crt`, `tls.crt` and `tls.key`, as they are named in Kubernetes. A role is the common
+name of its certificate; only certificates of learner and router may serve. `actors/NAME` has the certificate
+that is bound to this actor's name; learner and router then have `actors.txt` with all such names.
 """
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import ipaddress
 import os
@@ -18,90 +18,148 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from athrl_protocol.certificates import AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, ROLES, SERVERS
+from athrl_protocol.errors import ProtocolError
+from athrl_protocol.security.certificates import (
+    AUTHORITY_FILE,
+    BOUND_ACTORS,
+    CERTIFICATE_FILE,
+    KEY_FILE,
+    NAMES_FILE,
+    ROLES,
+    SERVERS,
+    Certificates,
+    bound_common_name,
+    read_bound_names,
+)
+from athrl_spaces.untrusted import parser_errors
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from athrl.certificate_files import load_certificate, names_in, pem, read_file, write_file
 from athrl.errors import CommandError
 
 AUTHORITY = "authority"
 AUTHORITY_DAYS = 3650
 RENEWAL_DAYS = 30
-"""`--if-missing` renews what ends sooner than this."""
+"""`--if-missing` renews certificates that expire sooner than this."""
 CLOCK_DIFFERENCE = datetime.timedelta(minutes=5)
-"""A certificate is valid a little earlier than now, for machines whose clocks are behind."""
+"""A certificate is valid from a little before now, for machines whose clocks are behind."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """A key and the certificate of its public half."""
+    """A private key and the certificate of its public key."""
 
     key: ec.EllipticCurvePrivateKey
     certificate: x509.Certificate
 
 
 def certificates(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the certificates are kept.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the certificates.")],
     names: Annotated[
         list[str] | None,
         typer.Option(
             "--name",
             "--names",
             metavar="NAME",
-            help="A host name or address by which the learner, or a router, is reached; several, or "
-            "separated by commas. localhost, 127.0.0.1, ::1, the role's and this machine's name always are.",
+            help="Host name or address of the learner or a router, repeated or separated by commas; "
+            "localhost, 127.0.0.1, ::1, the role's and this machine's name are always included.",
+        ),
+    ] = None,
+    actors: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--actor",
+            metavar="NAME",
+            help="Also make a certificate that is bound to this actor's name, which nobody else may use; "
+            "repeated or separated by commas.",
         ),
     ] = None,
     days: Annotated[
-        int, typer.Option(min=1, max=AUTHORITY_DAYS, help="How long the roles' certificates are valid.")
+        int, typer.Option(min=1, max=AUTHORITY_DAYS, help="Days for which the roles' certificates are valid.")
     ] = 365,
     renew: Annotated[
         list[str] | None,
-        typer.Option(metavar="ROLE", help=f"Make a new key and certificate for {', '.join(ROLES)}."),
+        typer.Option(
+            metavar="ROLE", help=f"Make a new key and certificate for {', '.join(ROLES)} or actor/NAME."
+        ),
     ] = None,
     if_missing: Annotated[
         bool,
         typer.Option(
             "--if-missing",
-            help=f"Make only what is not there, and renew what ends within {RENEWAL_DAYS} days.",
+            help=f"Only make missing certificates, and renew those that expire within {RENEWAL_DAYS} days.",
         ),
     ] = False,
 ) -> None:
-    """Make an authority and a certificate for each role, so that a run's services know each other."""
-    hosts = _hosts(names or [])
+    """Make an authority and a certificate for each role, so that services can authenticate each other."""
+    hosts, bound = _hosts(names or []), _given(actors or [])
+    _require_bindable(bound)
+    if renew and bound:
+        raise CommandError(f"--renew with --actor: renew it with --renew {bound_common_name(bound[0])}")
     _require_folder(folder)
     if renew:
         made = renew_roles(folder, renew, hosts if names else None, days)
     elif if_missing:
-        made = complete(folder, hosts, days, required=_given(names or []))
+        made = complete(folder, hosts, days, required=_given(names or []), actors=bound)
+    elif bound and (folder / AUTHORITY / CERTIFICATE_FILE).exists():
+        made = bind_actors(folder, bound, days)
     else:
-        made = make_all(folder, hosts, days)
+        made = make_all(folder, hosts, days, actors=bound)
     for role in made:
         certificate = load_certificate(folder / role / CERTIFICATE_FILE)
         print(f"{folder / role}: valid until {certificate.not_valid_after_utc:%Y-%m-%d}")
+    if bound:
+        print(f"learner and router read the names of actors from their {NAMES_FILE} when they start")
     if not made:
-        print(f"{folder}: all certificates are there")
+        print(f"{folder}: all certificates exist")
 
 
-def make_all(folder: Path, hosts: Iterable[str], days: int) -> list[str]:
+def make_all(folder: Path, hosts: Iterable[str], days: int, actors: Iterable[str] = ()) -> list[str]:
     """Make the authority and every role's certificate; return the names of the folders made.
 
     Raises:
-        CommandError: the folder holds certificates already, or cannot be written.
+        CommandError: the folder already holds certificates, or cannot be written.
     """
-    for name in (AUTHORITY, *ROLES):
+    for name in (AUTHORITY, *ROLES, *map(_place_of_actor, actors)):
         if any((folder / name / file).exists() for file in (CERTIFICATE_FILE, KEY_FILE)):
             raise CommandError(
-                f"{folder / name} holds a certificate already, which is not overwritten: "
+                f"{folder / name} already holds a certificate, which is not overwritten: "
                 f"name another folder, or renew a role with --renew {ROLES[0]}"
             )
-    return complete(folder, hosts, days)
+    return complete(folder, hosts, days, actors=actors)
 
 
-def complete(folder: Path, hosts: Iterable[str], days: int, required: Iterable[str] = ()) -> list[str]:
-    """Make what is missing or ends soon, and a server's if a required name is not in it.
+def bind_actors(folder: Path, actors: Iterable[str], days: int) -> list[str]:
+    """Make certificates that are bound to actors' names; return the names of the folders made.
+
+    Raises:
+        CommandError: an actor has one already, or the folder has no authority.
+    """
+    authority, names = _load_authority(folder), list(actors)
+    for name in names:
+        if any((folder / _place_of_actor(name) / file).exists() for file in (CERTIFICATE_FILE, KEY_FILE)):
+            raise CommandError(
+                f"{folder / _place_of_actor(name)} already holds a certificate, which is not overwritten: "
+                f"renew it with --renew {bound_common_name(name)}"
+            )
+    for name in names:
+        _write_bound(folder, name, authority, days)
+    _add_names(folder, names)
+    return [_place_of_actor(name) for name in names]
+
+
+def complete(
+    folder: Path,
+    hosts: Iterable[str],
+    days: int,
+    required: Iterable[str] = (),
+    actors: Iterable[str] = (),
+) -> list[str]:
+    """Make missing or soon expiring certificates, and a server's if a required name is not in it.
 
     Returns the names of the folders made.
     """
@@ -116,35 +174,84 @@ def complete(folder: Path, hosts: Iterable[str], days: int, required: Iterable[s
         if AUTHORITY in made or lacks or _is_due(folder / role, authority):
             _write_role(folder / role, _new_role(authority, role, names, days), authority)
             made.append(role)
+    bound = dict.fromkeys([*actors, *_actors_in(folder)])
+    for name in bound:
+        place = _place_of_actor(name)
+        if AUTHORITY in made or _is_due(folder / place, authority):
+            _write_bound(folder, name, authority, days)
+            made.append(place)
+    _add_names(folder, bound)
     return made
 
 
 def renew_roles(folder: Path, roles: Iterable[str], hosts: Iterable[str] | None, days: int) -> list[str]:
-    """Make new keys and certificates of the same authority; servers keep their names unless given some.
+    """Make new keys and certificates of the same authority; servers keep their names unless some are given.
+
+    Returns the names of the folders made.
 
     Raises:
-        CommandError: there is no such role, or no authority in the folder.
+        CommandError: there is no such role or bound actor, or the folder has no authority.
     """
     wanted = list(roles)
+    bound = {bound_common_name(name): name for name in _actors_in(folder)}
     for role in wanted:
-        if role not in ROLES:
-            raise CommandError(f"--renew {role}: there is no such role; it is one of {', '.join(ROLES)}")
+        if role not in ROLES and role not in bound:
+            raise CommandError(
+                f"--renew {role}: there is no such role; it is one of {', '.join([*ROLES, *bound])}"
+            )
     authority = _load_authority(folder)
     for role in wanted:
-        names = list(hosts) if hosts is not None else _names_of(folder / role / CERTIFICATE_FILE)
+        if role in bound:
+            _write_bound(folder, bound[role], authority, days)
+            continue
+        names = list(hosts) if hosts is not None else names_in(folder / role / CERTIFICATE_FILE)
         _write_role(folder / role, _new_role(authority, role, names, days), authority)
-    return wanted
+    return [_place_of_actor(bound[role]) if role in bound else role for role in wanted]
+
+
+def _require_bindable(actors: Iterable[str]) -> None:
+    for name in actors:
+        try:
+            bound_common_name(name)
+        except ProtocolError as error:
+            raise CommandError(f"--actor {name}: {error}") from None
+
+
+def _place_of_actor(name: str) -> str:
+    return f"{BOUND_ACTORS}/{name}"
+
+
+def _actors_in(folder: Path) -> list[str]:
+    """Return the names of the actors whose bound certificates lie in the folder."""
+    return sorted(path.parent.name for path in folder.glob(f"{BOUND_ACTORS}/*/{CERTIFICATE_FILE}"))
+
+
+def _write_bound(folder: Path, actor: str, authority: Identity, days: int) -> None:
+    identity = _new_role(authority, bound_common_name(actor), [], days)
+    _write_role(folder / _place_of_actor(actor), identity, authority)
+
+
+def _add_names(folder: Path, actors: Iterable[str]) -> None:
+    """Add bound names to those that learner and router know; names of earlier calls stay."""
+    for server in SERVERS:
+        place = folder / server
+        known = read_bound_names(
+            Certificates(place / AUTHORITY_FILE, place / CERTIFICATE_FILE, place / KEY_FILE)
+        )
+        names = dict.fromkeys([*known, *actors])
+        if len(names) > len(known):
+            write_file(place / NAMES_FILE, "".join(f"{name}\n" for name in names).encode(), mode=0o644)
 
 
 def _require_folder(folder: Path) -> None:
-    """Refuse a path at which, or on the way to which, there is something else than a folder."""
+    """Refuse a path that is, or leads through, something other than a folder."""
     there = next((place for place in (folder, *folder.parents) if os.path.lexists(place)), folder)
     if os.path.lexists(there) and not os.path.isdir(there):
-        raise CommandError(f"{folder}: {there} is a file, it should be a folder, or a name that is free")
+        raise CommandError(f"{folder}: {there} is a file, it should be a folder or not exist yet")
 
 
 def _hosts(given: Iterable[str]) -> list[str]:
-    """Return all names of a server but its role, each once; raises `CommandError` for what is none."""
+    """Return all names of a server except its role, each once; raises `CommandError` for an invalid name."""
     hosts = dict.fromkeys([*_given(given), "localhost", socket.gethostname().lower(), "127.0.0.1", "::1"])
     for host in hosts:
         _subject_name(host)
@@ -197,8 +304,8 @@ def _new_role(authority: Identity, role: str, hosts: list[str], days: int) -> Id
     if role in SERVERS:
         named = dict.fromkeys([*hosts, role])
         names = x509.SubjectAlternativeName([_subject_name(host) for host in named])
-    else:  # rustls takes no certificate without a name
-        names = x509.SubjectAlternativeName([x509.DNSName(f"{role}.athrl.invalid")])
+    else:  # rustls accepts no certificate without a name
+        names = x509.SubjectAlternativeName([x509.DNSName(f"{role.partition('/')[0]}.athrl.invalid")])
     builder = builder.add_extension(names, critical=False)
     return Identity(key, builder.sign(authority.key, hashes.SHA256()))
 
@@ -234,7 +341,7 @@ def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
 
 
 def _is_due(role_folder: Path, authority: Identity) -> bool:
-    """Whether a role has no certificate of this authority, or one that ends soon."""
+    """Whether a role has no certificate of this authority, or one that expires soon."""
     if not all((role_folder / file).exists() for file in (AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE)):
         return True
     certificate = load_certificate(role_folder / CERTIFICATE_FILE)
@@ -249,49 +356,23 @@ def _is_due(role_folder: Path, authority: Identity) -> bool:
 def _has_names(role_folder: Path, names: Iterable[str]) -> bool:
     wanted = {str(_subject_name(name).value) for name in names}
     path = role_folder / CERTIFICATE_FILE
-    return path.exists() and wanted <= set(_names_of(path))
-
-
-def _names_of(certificate_file: Path) -> list[str]:
-    """Return the host names and addresses in a certificate."""
-    extension = load_certificate(certificate_file).extensions.get_extension_for_class(
-        x509.SubjectAlternativeName
-    )
-    return [str(name.value) for name in extension.value]
+    return path.exists() and wanted <= set(names_in(path))
 
 
 def _load_authority(folder: Path) -> Identity:
     certificate = load_certificate(folder / AUTHORITY / CERTIFICATE_FILE)
     path = folder / AUTHORITY / KEY_FILE
-    try:
-        key = serialization.load_pem_private_key(path.read_bytes(), password=None)
-    except OSError as error:
-        raise CommandError(f"cannot read {path}: {(error.strerror or str(error)).lower()}") from None
-    except ValueError:
-        key = None
-    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
-        raise CommandError(f"{path} is not the key of {folder / AUTHORITY / CERTIFICATE_FILE}")
+    wrong = CommandError(f"{path} is not the key of {folder / AUTHORITY / CERTIFICATE_FILE}")
+    content = read_file(path)
+    with parser_errors(lambda reason: wrong, UnsupportedAlgorithm):
+        key = serialization.load_pem_private_key(content, password=None)
+        if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+            raise wrong
     return Identity(key, certificate)
 
 
-def common_name(certificate: x509.Certificate) -> str:
-    """Return the name in a certificate, which is its role; empty where there is none."""
-    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(names[0].value) if names else ""
-
-
-def load_certificate(path: Path) -> x509.Certificate:
-    """Read a certificate; raises CommandError, naming the file."""
-    try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except OSError as error:
-        raise CommandError(f"cannot read {path}: {(error.strerror or str(error)).lower()}") from None
-    except ValueError:
-        raise CommandError(f"{path} is no certificate") from None
-
-
 def _write_role(folder: Path, identity: Identity, authority: Identity) -> None:
-    _write(folder / AUTHORITY_FILE, _pem(authority.certificate), mode=0o644)
+    write_file(folder / AUTHORITY_FILE, pem(authority.certificate), mode=0o644)
     _write_identity(folder, identity)
 
 
@@ -299,27 +380,6 @@ def _write_identity(folder: Path, identity: Identity) -> None:
     key = identity.key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-    _write(folder / KEY_FILE, key, mode=0o600)
-    # Last, because who sees the certificate expects its key.
-    _write(folder / CERTIFICATE_FILE, _pem(identity.certificate), mode=0o644)
-
-
-def _pem(certificate: x509.Certificate) -> bytes:
-    return certificate.public_bytes(serialization.Encoding.PEM)
-
-
-def _write(path: Path, content: bytes, mode: int) -> None:
-    """Put a file in its place as a whole; at no moment can anybody but its owner read a key."""
-    part = path.with_name(f"{path.name}.part")
-    try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        part.unlink(missing_ok=True)
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):  # the cause may be that there can be no such file
-            part.unlink(missing_ok=True)
-        raise CommandError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from None
+    write_file(folder / KEY_FILE, key, mode=0o600)
+    # Last, because a reader of the certificate expects its key.
+    write_file(folder / CERTIFICATE_FILE, pem(identity.certificate), mode=0o644)

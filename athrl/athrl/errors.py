@@ -1,4 +1,4 @@
-"""What may go wrong and is no bug: such an error is one line that says what to do, never a traceback."""
+"""Expected errors: each is one line that says what to do, never a traceback."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# Errors of the rooms that are expected. A room is only looked at when it has been imported already: an
-# image has only its own service.
+from athrl_spaces.untrusted import one_line
+
+# Expected errors of the packages. Only packages that are already imported are considered: an image only has
+# its own service.
 _EXPECTED = (
     ("athrl_protocol", "ProtocolError"),
     ("athrl_driving.errors", "DrivingError"),
@@ -20,15 +22,15 @@ _EXPECTED = (
 )
 
 EXPECTED_ERROR = 2
-"""Exit code of a command that could not do its work because of what it was given or met."""
+"""Exit code after an expected error."""
 
 
 class CommandError(Exception):
-    """Something the user can mend; `str()` of it is one line that says what to do."""
+    """An error that the user can correct; its text is one line that says what to do."""
 
 
 def expected_errors() -> tuple[type[Exception], ...]:
-    """Return the error classes that are shown as one line, of every room that is loaded."""
+    """Return the error classes that are shown as one line, of every imported package."""
     classes: list[type[Exception]] = [CommandError]
     for module_name, class_name in _EXPECTED:
         module = sys.modules.get(module_name)
@@ -38,9 +40,8 @@ def expected_errors() -> tuple[type[Exception], ...]:
 
 
 def say(message: object) -> None:
-    """Print one line of the command on standard error."""
-    line = " ".join(str(message).split())
-    print(f"athrl: {line}", file=sys.stderr, flush=True)
+    """Print one line of the command on standard error, without characters that steer a terminal."""
+    print(f"athrl: {one_line(str(message))}", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 from athrl_protocol.run_file import EnvironmentSection, RunFile
+from athrl_spaces import CASE_STUDIES, REFERENCE_DRIVERS
 from rich.console import Console
 from rich.table import Table
 
@@ -20,8 +21,6 @@ from athrl import runs
 from athrl.errors import CommandError, needs
 from athrl.options import ForceOption, JsonOption, RunFileOption, SetOption, overrides
 
-REFERENCE_DRIVERS = ("random", "blind", "rule-based")
-CASE_STUDIES = ("roundabout", "oncoming-traffic", "unprotected-left")
 ALL = "all"
 
 _OPTION_OF_SETTING = {
@@ -29,7 +28,7 @@ _OPTION_OF_SETTING = {
     "evaluator.final_episodes": "--episodes",
     "evaluator.seed": "--seed",
 }
-"""Settings that have an option of their own."""
+"""Settings with their own option."""
 
 _USED = "environment.*, evaluator.final_episodes, evaluator.seed and actor.stall_seconds"
 
@@ -39,31 +38,29 @@ def evaluate(
         str,
         typer.Option(
             metavar="NAME|FILE|random|blind|rule-based",
-            help="Who drives; `athrl policies` lists the names of those that come with this program.",
+            help="The driver; `athrl policies` lists the names of shipped policies.",
         ),
     ],
     town: Annotated[
-        str | None, typer.Option(help="The town to drive in, or a map; by default the run file's towns.")
+        str | None, typer.Option(help="Town or map to drive in; by default the run file's towns.")
     ] = None,
     case_study: Annotated[
         str | None,
         typer.Option(
             metavar="|".join((*CASE_STUDIES, ALL)),
-            help="Drive one of the paper's case studies, or all three.",
+            help="One of the paper's case studies, or all of them.",
         ),
     ] = None,
     episodes: Annotated[
-        int | None, typer.Option(min=2, help="Episodes to drive; by default evaluator.final_episodes.")
+        int | None, typer.Option(min=2, help="Number of episodes; by default evaluator.final_episodes.")
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(
-            min=0, help="The first episode's seed, the others have those after; by default evaluator.seed."
-        ),
+        typer.Option(min=0, help="Seed of the first episode; by default evaluator.seed."),
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Record each episode as an MCAP file in this folder."),
+        typer.Option(metavar="FOLDER", help="Folder for an MCAP recording of each episode."),
     ] = None,
     force: ForceOption = None,
     as_json: JsonOption = False,
@@ -89,7 +86,7 @@ def evaluate(
 
 
 def _check_case_study(case_study: str | None, town: str | None, named: set[str]) -> None:
-    """Refuse a case study that there is not, and a town beside one."""
+    """Refuse an unknown case study, and a town together with a case study."""
     if case_study is None:
         return
     if case_study not in (*CASE_STUDIES, ALL):
@@ -97,31 +94,34 @@ def _check_case_study(case_study: str | None, town: str | None, named: set[str])
         raise CommandError(f"--case-study {case_study}: there is no such case study, it should be {choice}")
     if town is not None or "environment.towns" in named:
         option = "--town" if town is not None else "--set environment.towns"
-        raise CommandError(f"{option} has no place beside --case-study, whose town is its own: leave one out")
+        raise CommandError(f"{option} cannot be used with --case-study, which has its own: leave one out")
 
 
 def _check_used(named: set[str], by_option: set[str]) -> None:
-    """Refuse settings of the command line without a say here; run file and ATHRL_SET describe a whole run."""
+    """Refuse settings of the command line without effect; run file and ATHRL_SET may have others."""
     for name in sorted(named):
         if name in by_option:
             raise CommandError(f"--set {name} and {_OPTION_OF_SETTING[name]} say the same: leave one out")
         section = name.partition(".")[0]
         if section != "environment" and name not in _OPTION_OF_SETTING and name != "actor.stall_seconds":
-            raise CommandError(f"--set {name}: evaluate only drives and would ignore it; it goes by {_USED}")
+            raise CommandError(f"--set {name}: evaluate only drives and would ignore it; it uses {_USED}")
 
 
-def check_town(town: str) -> None:
-    """Refuse a town that there is not by the option's name, and a map that cannot be driven.
+def check_town(town: str, vehicles: int = 0) -> None:
+    """Refuse an unknown town and a map that cannot be driven or has too little room, by the option's name.
 
     Raises:
-        CommandError: it is one of them.
+        CommandError: the town is one of these.
     """
     with needs("evaluator"):
         from athrl_driving.maps import load_town
+        from athrl_driving.traffic import starting_places
     try:
-        load_town(town)
+        places = starting_places(load_town(town))
     except ValueError as error:
         raise CommandError(f"--town {town}: {error}") from None
+    if vehicles > places:
+        raise CommandError(f"--vehicles {vehicles}: {town} has room for {places} at most")
 
 
 def _check_folder(folder: Path | None) -> None:
@@ -134,15 +134,17 @@ def _check_folder(folder: Path | None) -> None:
     except OSError as error:
         cause = (error.strerror or str(error)).lower()
         raise CommandError(
-            f"--record {folder}: {cause}, it should be a folder that can be made and written into"
+            f"--record {folder}: {cause}, it should be a folder that can be made and written"
         ) from None
 
 
-def find_driver(policy: str) -> str | Path:
-    """Return a reference driver's name, or the file of a policy that is given by its path or its name.
+def find_driver(policy: str, option: str = "--policy ") -> str | Path:
+    """Return the name of a reference driver, or the file of a policy by its path or name.
+
+    `option` is what an error begins with, where the driver is given by an option.
 
     Raises:
-        CommandError: it is none of them; names the nearest.
+        CommandError: it is none of these; names the nearest.
     """
     if policy in REFERENCE_DRIVERS:
         return policy
@@ -150,25 +152,25 @@ def find_driver(policy: str) -> str | Path:
     if path.is_file():
         return path
     with needs("evaluator"):
-        from athrl_evaluator.shipped_policies import shipped_names, shipped_policy
+        from athrl_evaluator.policies.shipped import shipped_names, shipped_policy
     if policy in shipped_names():
         return shipped_policy(policy)
     wrong = "is a folder" if policy and path.is_dir() else "there is no such file"
     names = [*REFERENCE_DRIVERS, *shipped_names()]
     near = difflib.get_close_matches(policy, names, n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise CommandError(f"--policy {policy}: {wrong}, and it is none of {', '.join(names)}{hint}")
+    raise CommandError(f"{option}{policy}: {wrong}, and it is none of {', '.join(names)}{hint}")
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where episodes are driven.
+    """A place where episodes are driven.
 
     Attributes:
-        section: the settings of the environments.
-        case_study: that they are of.
-        facts: what the results say of the place.
-        folder: of its recordings, beside those of other places.
+        section: settings of the environments.
+        case_study: the case study, if it is one.
+        facts: fields of the results that describe the place.
+        folder: subfolder of its recordings, if there are several places.
     """
 
     section: EnvironmentSection
@@ -178,13 +180,13 @@ class _Place:
 
 
 def _places(section: EnvironmentSection, case_study: str | None, named: set[str]) -> list[_Place]:
-    """Return the case studies, or else the towns, one by one."""
+    """Return one place for each case study, or else for each town."""
     if case_study is not None:
         beside = _beside_case_study(section, named)
-        studies = CASE_STUDIES if case_study == ALL else (case_study,)
+        studies = list(CASE_STUDIES) if case_study == ALL else (case_study,)
         return [_Place(beside, study, {"case_study": study}, study) for study in studies]
     with needs("evaluator"):
-        from athrl_evaluator.environments import in_town, town_labels
+        from athrl_evaluator.scoring.environments import in_town, town_labels
     labels = town_labels(list(section.towns))
     return [_Place(in_town(section, town), None, {"town": town}, label) for town, label in labels.items()]
 
@@ -198,30 +200,30 @@ def _evaluate(
     *,
     many: bool,
 ) -> dict[str, Any]:
-    """Score a driver; of many places each is recorded in a folder of its own."""
+    """Score a driver; of several places each has its own folder of recordings."""
     with needs("evaluator"):
-        from athrl_evaluator import evaluate_driver
-    scores = evaluate_driver(
-        driver,
-        environment=place.section,
-        case_study=place.case_study,
+        from athrl_evaluator import EvaluationSettings, evaluate_driver
+    evaluation = EvaluationSettings(
         episodes=settings.evaluator.final_episodes,
         seed=settings.evaluator.seed,
-        stall_seconds=settings.actor.stall_seconds,
-        record=record / place.folder if record is not None and many else record,
+        environment=place.section,
+        case_study=place.case_study,
         forced=forced,
+        stall_seconds=settings.actor.stall_seconds,
     )
+    folder = record / place.folder if record is not None and many else record
+    scores = evaluate_driver(driver, evaluation, record=folder)
     return {**place.facts, "seed": settings.evaluator.seed, **scores.as_dict()}
 
 
 def _beside_case_study(section: EnvironmentSection, named: set[str]) -> EnvironmentSection:
-    """What the settings say beside a case study: of what it fixes itself only the command line's."""
+    """Settings for a case study: of those that it fixes itself only the command line's are kept."""
     own = {"towns", "vehicles", "episode_ticks"} - {name.removeprefix("environment.") for name in named}
     return EnvironmentSection(**section.model_dump(include=section.model_fields_set - own))
 
 
 def _print(policy: str, results: Sequence[dict[str, Any]], as_json: bool) -> None:
-    """Print one JSON object, with many results in `case_studies` or `towns`, or a table with columns."""
+    """Print one JSON object, with several results in `case_studies` or `towns`, or a table."""
     many = "towns" if "town" in results[0] else "case_studies"
     if as_json:
         facts = results[0] if len(results) == 1 else {many: results}

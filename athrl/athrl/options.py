@@ -8,18 +8,26 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from athrl_protocol.certificates import VARIABLE
-from athrl_protocol.refusal_log import refusals_logged
+from athrl_protocol.errors import ProtocolError
+from athrl_protocol.faults.zenoh_refusals import refusals_logged
+from athrl_protocol.monitoring.address import metrics_address
 from athrl_protocol.run_file import RunFile
+from athrl_protocol.security.certificates import VARIABLE
+
+from athrl.errors import CommandError
 
 DEFAULTS = RunFile()
+
+WHAT, WHERE = "What to run", "Machine and network"
+"""Groups of options in the help."""
 
 RunFileOption = Annotated[
     Path | None,
     typer.Option(
         "--run-file",
         envvar="ATHRL_RUN_FILE",
-        help="TOML file with the run's settings; `athrl run-file` prints one.",
+        help="TOML file with settings; `athrl run-file` prints the default.",
+        rich_help_panel=WHAT,
     ),
 ]
 SetOption = Annotated[
@@ -27,7 +35,8 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Override a setting, such as learner.batch=64; ATHRL_SET holds more of them.",
+        help="Override a setting, such as learner.batch=64; can be repeated; ATHRL_SET has more.",
+        rich_help_panel=WHAT,
     ),
 ]
 ConnectOption = Annotated[
@@ -36,14 +45,24 @@ ConnectOption = Annotated[
         "--connect",
         envvar="ATHRL_CONNECT",
         metavar="ADDRESS",
-        help="The learner's address, or a router's.",
+        callback=lambda given: find_learner(given),
+        help="Address of the learner or of a router, or the folder of a run that was submitted.",
+        rich_help_panel=WHERE,
+    ),
+]
+FollowOption = Annotated[
+    str,
+    typer.Option(
+        "--connect",
+        envvar="ATHRL_CONNECT",
+        metavar="ADDRESS",
+        help="Address of the learner or of a router, or the folder of a run, whose learner is followed.",
+        rich_help_panel=WHERE,
     ),
 ]
 NameOption = Annotated[
     str | None,
-    typer.Option(
-        "--name", help="The service's name, one of its own; by default this machine's and process's."
-    ),
+    typer.Option("--name", help="Unique name of the service; without it the learner gives an actor one."),
 ]
 CertificatesOption = Annotated[
     Path | None,
@@ -52,14 +71,33 @@ CertificatesOption = Annotated[
         envvar=VARIABLE,
         metavar="FOLDER",
         callback=lambda folder: use_certificates(folder),
-        help="Folder that `athrl certificates` made, or the one of a single role in it.",
+        help="Folder made by `athrl certificates`, or its subfolder of one role.",
+        rich_help_panel=WHERE,
     ),
 ]
-RunOption = Annotated[str, typer.Option("--run", envvar="ATHRL_RUN", metavar="RUN", help="The run's name.")]
+MetricsListenOption = Annotated[
+    str,
+    typer.Option(
+        "--metrics-listen",
+        envvar="ATHRL_METRICS_LISTEN",
+        metavar="ADDRESS",
+        callback=lambda given: check_metrics_address(given),
+        help="Answer Prometheus there: PORT (on loopback), HOST:PORT or every-address:PORT.",
+        rich_help_panel=WHERE,
+    ),
+]
+RunOption = Annotated[
+    str,
+    typer.Option("--run", envvar="ATHRL_RUN", metavar="RUN", help="Name of the run.", rich_help_panel=WHAT),
+]
 LiveRunOption = Annotated[
     str | None,
     typer.Option(
-        "--run", envvar="ATHRL_RUN", metavar="RUN", help="The run's name; not needed where there is but one."
+        "--run",
+        envvar="ATHRL_RUN",
+        metavar="RUN",
+        help="Name of the run; not needed if there is only one.",
+        rich_help_panel=WHAT,
     ),
 ]
 ForceOption = Annotated[
@@ -67,24 +105,41 @@ ForceOption = Annotated[
     typer.Option(
         "--force",
         metavar="NAME=VALUE",
-        help="Have the policy decide this all the time, such as intention=0; several.",
+        help="Fix a decision of the policy, such as intention=0; can be repeated.",
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print only one JSON object.")]
+
+
+def find_learner(connect: str) -> str:
+    """Return the address of a learner that is named by its address or by its run's folder."""
+    from athrl.rendezvous.run_folder import learner_address
+
+    return learner_address(connect)
+
+
+def check_metrics_address(listen: str) -> str:
+    """Return an address for metrics, or an empty text; raise `CommandError` unless it is one."""
+    try:
+        if listen:
+            metrics_address(listen)
+    except ProtocolError as error:
+        raise CommandError(f"--metrics-listen: {error}") from None
+    return listen
 
 
 def use_certificates(folder: str | Path | None) -> Path | None:
-    """Tell every session of this process and of those it starts which folder to use, if any is given."""
+    """Set the folder for every session of this process and its child processes, if one is given."""
     if folder:
         os.environ[VARIABLE] = str(folder)
     return Path(folder) if folder else None
 
 
-def refusals_told(secure: bool) -> AbstractContextManager[None]:
-    """Have the log of a process that listens say who was refused what; without certificates nobody is."""
+def logged_refusals(secure: bool) -> AbstractContextManager[None]:
+    """Log Zenoh's refusals in a listening process; without certificates there are none."""
     return refusals_logged() if secure else nullcontext()
 
 
 def overrides(given: list[str] | None) -> list[str]:
-    """Return ATHRL_SET's settings, separated by white space, and after them those of the command line."""
+    """Return the settings in ATHRL_SET, separated by white space, then those of the command line."""
     return os.environ.get("ATHRL_SET", "").split() + list(given or [])

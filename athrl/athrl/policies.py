@@ -1,4 +1,4 @@
-"""`athrl policies`: the policies that come with this program, each with its card."""
+"""`athrl policies`: the shipped policies, each with its model card."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from athrl.options import JsonOption
 
 
 def policies(as_json: JsonOption = False) -> None:
-    """List the policies that `athrl evaluate --policy NAME` and `athrl watch --policy NAME` know."""
+    """List the shipped policies for `athrl evaluate --policy NAME` and `athrl watch --policy NAME`."""
     with needs("evaluator"):
-        from athrl_evaluator.shipped_policies import shipped_policies
+        from athrl_evaluator.policies.shipped import shipped_policies
     cards = {name: asdict(card) for name, card in shipped_policies().items()}
     if as_json:
         print(json.dumps({"policies": cards}))
@@ -43,7 +43,7 @@ def _table(name: str, card: Mapping[str, Any]) -> Table:
 
 
 def _in_words(scores: Mapping[str, float]) -> str:
-    """Return the scores that tell most, as far as they are known."""
+    """Return the most important scores, as far as they are known."""
     words = []
     if "return_mean" in scores:
         interval = f" ± {scores['return_ci95']:.0f}" if "return_ci95" in scores else ""

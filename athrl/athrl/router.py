@@ -1,13 +1,15 @@
-"""`athrl router`: passes on what the services of a node or a network and their learner say to each other.
+"""`athrl router`: passes messages between the services of a node or network and their learner.
 
-It holds nothing back and keeps nothing, so it may be killed and started again at any time: clients keep what
-is not acknowledged, and both sides connect anew by themselves.
+It stores nothing, so it may be killed and restarted at any time: clients keep unacknowledged chunks, and both
+sides reconnect.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
+import time
+from collections import Counter
 from contextlib import ExitStack
 from typing import Annotated
 
@@ -18,31 +20,38 @@ from athrl_protocol import (
     Phase,
     PresenceWatcher,
     RunFile,
+    RunState,
     StateSubscriber,
     announce_presence,
     fetch_run_file,
     open_session,
 )
-from athrl_protocol.address import complete_address
-from athrl_protocol.certificates import find_certificates
-from athrl_protocol.leaving import await_what_is_on_its_way
-from athrl_protocol.limits import largest_chunk_of
-from athrl_protocol.session import open_router
+from athrl_protocol.monitoring.endpoint import serve_metrics
+from athrl_protocol.monitoring.figures import ServiceFigures
+from athrl_protocol.monitoring.table import ROUTER
+from athrl_protocol.security.certificates import find_certificates
+from athrl_protocol.transport.address import complete_address
+from athrl_protocol.transport.graceful_close import drain_incoming
+from athrl_protocol.transport.session import open_router
+from athrl_protocol.transport.size_filter import largest_chunk_of
 
-from athrl.names import own_name
 from athrl.options import (
     DEFAULTS,
     CertificatesOption,
     ConnectOption,
     LiveRunOption,
+    MetricsListenOption,
     NameOption,
-    refusals_told,
+    logged_refusals,
 )
+from athrl.service_names import own_name
 from athrl.stopping import stop_on_signal
 
 ROLE = "router"
+SERVICES = ("learner", "actor", "evaluator", "router")
+"""Roles whose present services are counted."""
 POLL_SECONDS = 0.5
-FAREWELL_SECONDS = 2.0  # for news of the end that are on their way
+CLOSING_SECONDS = 2.0  # for messages about the end that are in flight
 
 log = logging.getLogger(__name__)
 
@@ -50,21 +59,20 @@ log = logging.getLogger(__name__)
 def router(
     listen: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS", help="Where services reach this router; they are given it as --connect."
-        ),
+        typer.Option(metavar="ADDRESS", help="Address at which services connect to this router."),
     ],
     connect: ConnectOption = DEFAULTS.network.listen,
     run: LiveRunOption = None,
     name: NameOption = None,
     certificates: CertificatesOption = None,
+    metrics_listen: MetricsListenOption = "",
 ) -> None:
-    """Stand between actors, evaluators, viewers and their learner; ends with the run."""
+    """Route messages between actors, evaluators, viewers and the learner; ends with the run."""
     shown = find_certificates(certificates, ROLE)
     if shown is not None:
         shown.check_may_serve(ROLE)
     at, learner = (complete_address(address, secure=shown is not None) for address in (listen, connect))
-    with stop_on_signal() as stop, refusals_told(certificates is not None):
+    with stop_on_signal() as stop, logged_refusals(certificates is not None):
         run_file = _await_run(connect, run, stop)
         if run_file is None:
             return
@@ -78,13 +86,15 @@ def router(
                     largest_chunk=largest_chunk_of(run_file),
                 )
             )
-            stack.callback(await_what_is_on_its_way, session)
+            stack.callback(drain_incoming, session)
             log.info("router for run %s at %s, its learner at %s", run_file.run.name, at, learner)
-            _stay(session, run_file.run.name, name or own_name(), stop)
+            figures = ServiceFigures(ROUTER, {"run": run_file.run.name})
+            stack.enter_context(serve_metrics(metrics_listen, figures))
+            _stay(session, run_file.run.name, name or own_name(), figures, stop)
 
 
 def _await_run(connect: str, run: str | None, stop: threading.Event) -> RunFile | None:
-    """Ask the learner for its run file, which says how large messages may be; None if `stop` was set."""
+    """Read the learner's run file, which determines size limits; None if `stop` was set."""
     patience = DEFAULTS.network.patience
     try:
         with open_session(connect=connect, timeout=patience, stop=stop, role=ROLE) as session:
@@ -95,17 +105,41 @@ def _await_run(connect: str, run: str | None, stop: threading.Event) -> RunFile 
         raise
 
 
-def _stay(session: zenoh.Session, run: str, name: str, stop: threading.Event) -> None:
-    """Wait until the run is finished and its learner has left, or until asked to stop."""
+def _stay(
+    session: zenoh.Session, run: str, name: str, figures: ServiceFigures, stop: threading.Event
+) -> None:
+    """Wait until the run is finished and its learner has left, or until `stop` is set."""
+    learner = _LearnerHeard()
     with (
         announce_presence(session, run, ROLE, name),
-        StateSubscriber(session, run) as states,
+        StateSubscriber(session, run, learner.heard) as states,
         PresenceWatcher(session, run) as presence,
     ):
         while not stop.wait(POLL_SECONDS):
             state = states.newest()
-            learner_left = not any(role == "learner" for role, _ in presence.present())
-            if state is not None and state.phase is Phase.FINISHED and learner_left:
-                stop.wait(FAREWELL_SECONDS)
+            present = Counter(role for role, _ in presence.present())
+            figures.show(
+                {
+                    "connections": float(len(session.info.links())),
+                    "learner_silent_seconds": learner.silent_seconds,
+                    **{f"services/{role}": float(present[role]) for role in SERVICES},
+                }
+            )
+            if state is not None and state.phase is Phase.FINISHED and not present["learner"]:
+                stop.wait(CLOSING_SECONDS)
                 log.info("run %s is finished", run)
                 return
+
+
+class _LearnerHeard:
+    """When the learner last told the state of the run, as it does once a second."""
+
+    def __init__(self) -> None:
+        self._at = time.monotonic()
+
+    def heard(self, state: RunState) -> None:
+        self._at = time.monotonic()
+
+    @property
+    def silent_seconds(self) -> float:
+        return time.monotonic() - self._at

@@ -1,4 +1,4 @@
-"""What can be known of a live run from outside: a client of its learner that only listens."""
+"""A view of a live run: a client of its learner that only listens."""
 
 from __future__ import annotations
 
@@ -20,19 +20,39 @@ from athrl_protocol import (
     fetch_run_file,
     open_session,
 )
+from athrl_protocol.announcements.answers import fetch_changes
+from athrl_protocol.announcements.recent_rate import RecentRate
 from athrl_protocol.run_file import RunFile
+from athrl_protocol.transport.session import address_of, listens
 
 SILENT_SECONDS = 5.0
-"""Metrics come every second; after so long without they are old."""
+"""State and metrics arrive every second; after so long without new ones they are old."""
+
+LEAST_SECONDS = 2.0
+"""Least time over which a rate is measured."""
+
+PROBE_SECONDS = 5.0
+"""Between two looks whether a process listens where the learner was."""
+
+
+WARNINGS = {
+    "intake/lost": "chunks lost",
+    "unpublished_policy": "chunks of unpublished policies",
+    "rivals/answerers": "keys answered by others",
+    "rivals/values": "values published by others",
+    "actors_left": "actors that left early",
+}
+"""Metrics of the learner that are 0 in a healthy run; the learner's log has a line for each."""
 
 
 @dataclass(frozen=True)
 class RunSnapshot:
     """A run at one moment.
 
-    `metrics` holds the newest values of each service that spoke lately, by (role, name); `evaluations` the
-    newest result of each driver; `present` the services that are there; `steps_per_second` is measured over
-    the last half minute of the present phase, None at first.
+    `metrics` are the newest values of each service that reported recently, by (role, name); `evaluations` the
+    newest result of each driver; `present` the present services; `steps_per_second` is measured over the last
+    minute of the current phase, None at first; `changes` are those of the settings, in one line each;
+    `silence` says why the learner is not heard, empty while it is.
     """
 
     settings: RunFile
@@ -41,6 +61,14 @@ class RunSnapshot:
     evaluations: dict[str, EvaluationResult]
     present: frozenset[tuple[str, str]]
     steps_per_second: float | None = None
+    changes: tuple[str, ...] = ()
+    silence: str = ""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the learner counted that should not happen, in a few words each."""
+        counts = [(self.learner_metric(name) or 0.0, what) for name, what in WARNINGS.items()]
+        return tuple(f"{what}: {count:,.0f}" for count, what in counts if count)
 
     @property
     def finished(self) -> bool:
@@ -48,13 +76,13 @@ class RunSnapshot:
         return self.state is not None and self.state.phase is Phase.FINISHED
 
     def of_role(self, role: str) -> dict[str, dict[str, float]]:
-        """Return the metrics of every present service of a role, by its name; empty where it is silent."""
+        """Return the metrics of every present service of a role by its name; empty if it did not report."""
         return {
             name: self.metrics.get((role, name), {}) for found, name in sorted(self.present) if found == role
         }
 
     def learner_metric(self, name: str) -> float | None:
-        """Return a value of the learner, None where it has not said it."""
+        """Return a metric of the learner; None if it was not reported."""
         for values in self.of_role("learner").values():
             if name in values:
                 return values[name]
@@ -63,7 +91,7 @@ class RunSnapshot:
 
 @dataclass
 class RunView:
-    """Listens to a run, or with None to the only one that is there; `snapshot` is what is known now.
+    """Listens to a run, or with None to the only run at the address; `snapshot` is its current state.
 
     Use it in `with`.
 
@@ -78,9 +106,13 @@ class RunView:
     _open: ExitStack = field(default_factory=ExitStack, init=False)
     _reports: dict[tuple[str, str], tuple[float, dict[str, float]]] = field(default_factory=dict, init=False)
     _evaluations: dict[str, EvaluationResult] = field(default_factory=dict, init=False)
-    _progress: list[tuple[float, int]] = field(default_factory=list, init=False)
+    _rate: RecentRate = field(default_factory=RecentRate, init=False)
     _phase: Phase | None = field(default=None, init=False)
+    _changes: tuple[str, ...] = field(default=(), init=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
+    _heard_at: float = field(default=0.0, init=False)
+    _probed_at: float = field(default=0.0, init=False)
+    _listens: bool = field(default=True, init=False)
 
     def __enter__(self) -> RunView:
         with ExitStack() as stack:
@@ -89,7 +121,9 @@ class RunView:
             )
             self.settings = fetch_run_file(session, self.run, timeout=self.timeout)
             run = self.settings.run.name
-            self._state = stack.enter_context(StateSubscriber(session, run))
+            self._changes = tuple(fetch_changes(session, run))
+            self._session, self._address, self._heard_at = session, address_of(session), time.monotonic()
+            self._state = stack.enter_context(StateSubscriber(session, run, self._on_state))
             stack.enter_context(MetricsSubscriber(session, run, self._on_metrics))
             stack.enter_context(EvaluationSubscriber(session, run, self._on_evaluation))
             self._presence = stack.enter_context(PresenceWatcher(session, run))
@@ -101,6 +135,9 @@ class RunView:
     ) -> None:
         self._open.close()
 
+    def _on_state(self, state: RunState) -> None:
+        self._heard_at = time.monotonic()
+
     def _on_metrics(self, report: MetricsReport) -> None:
         with self._lock:
             self._reports[report.role, report.name] = (time.monotonic(), report.values)
@@ -110,7 +147,7 @@ class RunView:
             self._evaluations[result.driver] = result
 
     def snapshot(self) -> RunSnapshot:
-        """Return what is known at this moment."""
+        """Return the current state."""
         now = time.monotonic()
         state = self._state.newest()
         with self._lock:
@@ -119,22 +156,45 @@ class RunView:
             }
             evaluations = dict(self._evaluations)
             if state is not None:
-                self._note_progress(now, state)
-            rate = self._rate()
+                self._note_progress(state)
+        present = frozenset(self._presence.present())
         return RunSnapshot(
-            self.settings, state, metrics, evaluations, frozenset(self._presence.present()), rate
+            self.settings,
+            state,
+            metrics,
+            evaluations,
+            present,
+            self._rate.per_second(least=LEAST_SECONDS),
+            self._changes,
+            self._silence(now, present),
         )
 
-    def _note_progress(self, now: float, state: RunState) -> None:
-        if state.phase is not self._phase:  # the warm-up is many times faster than what follows
+    def _note_progress(self, state: RunState) -> None:
+        if state.phase is not self._phase:  # the warm-up is many times faster than training
             self._phase = state.phase
-            self._progress.clear()
-        self._progress.append((now, state.environment_steps))
-        self._progress = [(at, steps) for at, steps in self._progress if now - at <= 30.0]
+            self._rate.restart()
+        self._rate.note(state.environment_steps)
 
-    def _rate(self) -> float | None:
-        """Environment steps a second over what is remembered."""
-        if len(self._progress) < 2:
-            return None
-        (first_at, first), (last_at, last) = self._progress[0], self._progress[-1]
-        return (last - first) / (last_at - first_at) if last_at - first_at >= 2.0 else None
+    def _silence(self, now: float, present: frozenset[tuple[str, str]]) -> str:
+        """Why nothing is heard of the learner; empty while it is heard."""
+        seconds = now - self._heard_at
+        if seconds <= SILENT_SECONDS:
+            return ""
+        there = any(role == "learner" for role, _ in present)
+        if not there and self._connected():
+            what = f"is behind the router at {self._address}, and paused, cut off or absent"
+        elif there or self._is_there(now):
+            what = "is paused or very busy"
+        else:
+            what = f"is absent, no process listens at {self._address}"
+        return f"the learner {what}: nothing is heard of it for {seconds:.0f} s"
+
+    def _connected(self) -> bool:
+        """Whether there is a connection; a paused process loses it."""
+        return bool(self._session.info.links())
+
+    def _is_there(self, now: float) -> bool:
+        """Whether a process listens at the address, as a paused one does; looked up now and then."""
+        if now - self._probed_at > PROBE_SECONDS:
+            self._probed_at, self._listens = now, listens(self._address)
+        return self._listens

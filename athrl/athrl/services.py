@@ -9,33 +9,41 @@ from typing import Annotated
 import typer
 
 from athrl import runs
+from athrl.certificate_role import name_of_actor, require_role
 from athrl.errors import needs
-from athrl.names import own_name
 from athrl.options import (
     DEFAULTS,
+    WHERE,
     CertificatesOption,
-    ConnectOption,
+    FollowOption,
+    MetricsListenOption,
     NameOption,
     RunFileOption,
     RunOption,
     SetOption,
+    logged_refusals,
     overrides,
-    refusals_told,
 )
-from athrl.single_role import require_role
+from athrl.rendezvous.following import follow
+from athrl.rendezvous.listening import at_free_port
+from athrl.rendezvous.run_folder import run_named
+from athrl.service_names import own_name
 from athrl.stopping import stop_on_signal
 
 CHECKPOINT_SECONDS = 60.0
-"""How long the learner may take to write its last checkpoint and to leave."""
+"""Limit for the learner to write its last checkpoint and to end."""
 
 DRAIN_SECONDS = 30.0
-"""How long an actor or the evaluator may take to hand over what it has and to leave."""
+"""Limit for an actor or the evaluator to send what it has and to end."""
+
+COMPARISON_SECONDS = 1800.0
+"""Limit for an evaluator's closing comparison, which outlasts the learner."""
 
 
 def let_threads_sleep() -> None:
-    """Have training's threads wait for each other asleep; read by their library when torch is imported.
+    """Let training threads sleep while they wait; their library reads this when torch is imported.
 
-    They would spin otherwise, on the cores on which actors drive: an update took four times as long and more.
+    Otherwise they spin on the cores of the actors: an update took more than four times as long.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
@@ -44,68 +52,108 @@ def learner(
     run_file: RunFileOption = None,
     settings: SetOption = None,
     resume: Annotated[
-        str | None, typer.Option(metavar="RUN", help="Continue the run of this name or folder.")
+        str | None, typer.Option(metavar="RUN", help="Name or folder of the run to resume.")
     ] = None,
     resume_if_present: Annotated[
         bool,
         typer.Option(
-            "--resume-if-present", help="Continue the run when its folder holds one, else start it."
+            "--resume-if-present", help="Resume the run if its folder holds one, otherwise start it."
+        ),
+    ] = False,
+    reached_as: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST",
+            help="Host name or address by which others reach this machine: keep the learner's address in the "
+            "run's folder, for --connect FOLDER; if its port is in use, take the next free one.",
+            rich_help_panel=WHERE,
+        ),
+    ] = None,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check", help="Only check that the run can start or be resumed (exit code 0); start nothing."
         ),
     ] = False,
     certificates: CertificatesOption = None,
 ) -> None:
-    """Take experience in, train, publish policies; owns the run, and ends with it."""
+    """Receive experience, train, publish policies; owns the run, and ends with it."""
     let_threads_sleep()
-    runs.know_planners()
+    runs.declare_installed_planners()
     given = overrides(settings)
-    folder: Path | None
+    if resume is None and resume_if_present:
+        present = runs.folder_asked_for(run_file, given)
+        resume = str(present) if runs.holds_run(present) else None
+    folder: Path | None = None
     if resume is not None:
-        run_settings, folder = runs.resumed_settings(resume, given)
+        run_settings, folder = runs.resumed_settings(resume, given, run_file)
     else:
         run_settings = runs.new_settings(run_file, given)
-        folder = runs.run_folder(run_settings)
-        if not (resume_if_present and runs.holds_run(folder)):
-            folder = None
-    # The signals are caught before the import, which takes seconds.
+    # Signals are handled before the import, which takes seconds.
     secure = certificates is not None or bool(run_settings.network.certificates)
-    with stop_on_signal(within=CHECKPOINT_SECONDS) as stop, refusals_told(secure):
+    with stop_on_signal(within=CHECKPOINT_SECONDS) as stop, logged_refusals(secure):
         with needs("learner"):
-            from athrl_learner import run_learner
+            from athrl_learner import check_run, run_learner
+        if check:
+            print(check_run(run_settings, resume=folder))
+            return
+        if reached_as is not None:
+            run_settings = at_free_port(run_settings, reached_as, secure=secure)
         if not stop.is_set():
-            run_learner(run_settings, resume=folder, stop=stop)
+            run_learner(run_settings, resume=folder, stop=stop, reached_as=reached_as)
 
 
 def actor(
-    connect: ConnectOption = DEFAULTS.network.listen,
+    connect: FollowOption = DEFAULTS.network.listen,
     run: RunOption = DEFAULTS.run.name,
     name: NameOption = None,
     certificates: CertificatesOption = None,
 ) -> None:
-    """Drive environments with the newest policy and stream what happens to the learner."""
+    """Drive environments with the newest policy and stream experience to the learner."""
     require_role(certificates, "actor")
+    name = name_of_actor(certificates, name)
     with stop_on_signal(within=DRAIN_SECONDS) as stop:
         with needs("actor"):
             from athrl_actor import run_actor
         if not stop.is_set():
-            run_actor(connect=connect, run=run, name=name or own_name(), stop=stop)
+            wanted = run_named(connect, run)
+            follow(
+                connect,
+                stop,
+                lambda address, over: run_actor(
+                    connect=address, run=wanted, name=name, stop=over, host=own_name()
+                ),
+            )
 
 
 def evaluator(
-    connect: ConnectOption = DEFAULTS.network.listen,
+    connect: FollowOption = DEFAULTS.network.listen,
     run: RunOption = DEFAULTS.run.name,
     name: NameOption = None,
     folder: Annotated[
         Path,
-        typer.Option(
-            envvar="ATHRL_FOLDER", help="Folder that holds the runs' folders; results are written there."
-        ),
+        typer.Option(envvar="ATHRL_FOLDER", help="Folder with the folders of runs, for results."),
     ] = Path(DEFAULTS.run.folder),
     certificates: CertificatesOption = None,
+    metrics_listen: MetricsListenOption = "",
 ) -> None:
-    """Score policies on fixed episodes, record them and let them be watched."""
+    """Score policies on fixed episodes, record them and stream them to viewers."""
     require_role(certificates, "evaluator")
     with stop_on_signal(within=DRAIN_SECONDS) as stop:
         with needs("evaluator"):
             from athrl_evaluator import run_evaluator
         if not stop.is_set():
-            run_evaluator(connect=connect, run=run, name=name or "evaluator", folder=folder, stop=stop)
+            wanted, own = run_named(connect, run), name or "evaluator"
+            follow(
+                connect,
+                stop,
+                lambda address, over: run_evaluator(
+                    connect=address,
+                    run=wanted,
+                    name=own,
+                    folder=folder,
+                    stop=over,
+                    metrics_listen=metrics_listen,
+                ),
+                silent_seconds=COMPARISON_SECONDS,
+            )

@@ -11,47 +11,48 @@ from typing import Annotated, Any
 
 import typer
 from athrl_protocol import PresenceWatcher, StateSubscriber, fetch_run_file, open_session
+from athrl_protocol.messages.keys import HOST_ROLE
 from rich.console import Console
 from rich.live import Live
 
+from athrl.certificate_role import warn_limited_view
 from athrl.errors import CommandError
-from athrl.names import host_name, is_own_name
 from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, JsonOption, LiveRunOption
-from athrl.picture import draw
 from athrl.run_view import RunSnapshot, RunView
-from athrl.single_role import warn_who_sees_little
+from athrl.service_names import host_name, is_own_name
+from athrl.status_panel import draw
 from athrl.stopping import stop_on_signal
 
 ANSWER_SECONDS = 5.0
-"""How long the learner may take to be reached."""
+"""Limit for the connection to the learner."""
 
 ROLES = ("learner", "actor", "evaluator", "router")
-"""Who takes part in a run under a name."""
+"""Roles with named services in a run."""
 
 METRICS_SECONDS = 1.5
-"""Services speak once a second: after so long everybody was heard."""
+"""Services report once a second: after so long all have reported."""
 
 
 def status(
     connect: ConnectOption = DEFAULTS.network.listen,
     run: LiveRunOption = None,
     as_json: JsonOption = False,
-    follow: Annotated[bool, typer.Option("--follow", help="Keep showing the run until Ctrl-C.")] = False,
+    follow: Annotated[bool, typer.Option("--follow", help="Update the view until Ctrl-C.")] = False,
     check: Annotated[
         str | None,
         typer.Option(
             metavar="ROLE[/NAME]",
-            help="Exit code 0 says that such a service takes part; an actor or router without NAME is one "
-            "that has this host's name, with or without a process's number.",
+            help="Only check that such a service is present (exit code 0); without NAME an actor or router "
+            "of this host.",
         ),
     ] = None,
     certificates: CertificatesOption = None,
 ) -> None:
-    """Show how a live run is."""
+    """Show the state of a live run."""
     if check is not None:
         _check(connect, run, check)
         return
-    warn_who_sees_little(certificates)
+    warn_limited_view(certificates)
     with RunView(connect, run, timeout=ANSWER_SECONDS) as view:
         if follow:
             _follow(view)
@@ -64,9 +65,9 @@ def status(
 
 
 def _snapshot(view: RunView) -> RunSnapshot:
-    """Return what is known once every service has had time to speak.
+    """Return the state once every service has had time to report.
 
-    So short a look measures no rate of its own; the learner's is of its last second.
+    This is too short to measure a rate; the learner's own rate of its last minute is used.
     """
     time.sleep(METRICS_SECONDS)
     snapshot = view.snapshot()
@@ -76,39 +77,41 @@ def _snapshot(view: RunView) -> RunSnapshot:
 
 
 def _follow(view: RunView) -> None:
-    """Show the run until a signal comes."""
+    """Show the run until a signal arrives."""
     with stop_on_signal() as stop, Live(auto_refresh=False) as live:
         while not stop.wait(0.5):
             live.update(draw(view.snapshot(), []), refresh=True)
 
 
 def _check(connect: str, run: str | None, who: str) -> None:
-    """Raise `CommandError` unless the service is there; the learner has to tell the run's state, too.
+    """Raise `CommandError` unless the service is present; the learner must also report the run's state.
 
-    Asks for no more than every role may know, so that a service's container can look with its certificate.
+    Only uses what every role may read, so that a container can check its service with its certificate.
     """
     role, _, name = who.partition("/")
     if role not in ROLES:
         raise CommandError(f"--check {who}: there is no role {role!r}, it should be {', '.join(ROLES)}")
     belongs, called = _meant(role, name)
+    # An actor has its name from the learner, and a second token with that of its host.
+    shown_as = HOST_ROLE if (role, name) == ("actor", "") else role
     with ExitStack() as stack:
         session = stack.enter_context(open_session(connect=connect, timeout=ANSWER_SECONDS))
         run = fetch_run_file(session, run, timeout=ANSWER_SECONDS).run.name
         presence = stack.enter_context(PresenceWatcher(session, run))
         state = stack.enter_context(StateSubscriber(session, run))
         present = presence.wait_for(
-            lambda there: any(kind == role and belongs(name) for kind, name in there), ANSWER_SECONDS
+            lambda there: any(kind == shown_as and belongs(name) for kind, name in there), ANSWER_SECONDS
         )
         if not present or (role == "learner" and state.wait(ANSWER_SECONDS) is None):
             raise CommandError(f"no {role} {called} takes part in the run {run}")
 
 
 def _meant(role: str, name: str) -> tuple[Callable[[str], bool], str]:
-    """Return which services' names are meant, and in words; without a name those that `names` gives."""
+    """Return a condition on names, and its description; without a name the default names of this host."""
     if name or role in ("learner", "evaluator"):
         wanted = name or role
         return lambda other: other == wanted, repr(wanted)
-    return is_own_name, f"of this host ({host_name()!r}, or with a process's number behind it)"
+    return is_own_name, f"of this host ({host_name()!r}, or with a process number)"
 
 
 def facts(snapshot: RunSnapshot) -> dict[str, Any]:
@@ -122,8 +125,12 @@ def facts(snapshot: RunSnapshot) -> dict[str, Any]:
         "updates": state.updates if state else 0,
         "policy_version": state.policy_version if state else 0,
         "waiting": state.waiting if state else "",
+        "silence": snapshot.silence,
+        "changes": list(snapshot.changes),
+        "warnings": list(snapshot.warnings),
         "learner": snapshot.of_role("learner").get("learner", {}),
         "actors": snapshot.of_role("actor"),
         "evaluators": snapshot.of_role("evaluator"),
+        "routers": sorted(snapshot.of_role("router")),
         "evaluations": {driver: asdict(result) for driver, result in snapshot.evaluations.items()},
     }

@@ -1,10 +1,10 @@
-"""How a service is asked to stop: the first signal drains it, a second one ends it at once.
+"""Stopping a service: the first signal drains it, a second one ends it at once.
 
-Draining has a limit, which counts from the first signal until the process is gone: a disk that is stuck, a
-session that does not close or an import on a busy machine holds nobody up for longer.
+Draining has a limit from the first signal to the end of the process, so that a stuck disk, a session that
+does not close or an import on a busy machine cannot delay the end any longer.
 
-A service that `athrl train` started also has a pipe of its parent as standard input. When the parent goes,
-however it goes, the pipe ends and the service drains as after a first signal, but not for ever.
+A service that `athrl train` started also has a pipe of its parent as standard input. When the parent ends in
+any way, the pipe ends and the service drains as after a first signal, with a limit.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ LIFELINE = "ATHRL_LIFELINE"
 """Environment variable that tells a service that its standard input is its parent's lifeline."""
 
 STOP_SECONDS = 30.0
-"""How long a service may take from the first signal to its end, unless it says otherwise."""
+"""Default limit of a service from the first signal to its end."""
 
 _MARGIN_SECONDS = 5
-"""So much later the kernel ends a process whose interpreter does not get to it."""
+"""After so much longer the kernel ends a process whose interpreter is blocked."""
 
-FAREWELL_SECONDS = 10.0
-"""How long a command that is done may take to leave."""
+EXIT_SECONDS = 10.0
+"""Limit for a finished command to end."""
 
-BROKEN_OFF = 1
+NOT_DRAINED = 1
 """Exit code of a service that did not drain in time."""
 
 ORPHAN_SECONDS = 30.0
-"""How long a service without its parent may take to drain."""
+"""Limit for a service without its parent to drain."""
 
 
 @contextmanager
@@ -50,18 +50,18 @@ def stop_on_signal(
 ) -> Iterator[threading.Event]:
     """Yield an event that the first SIGINT or SIGTERM sets; the second one ends the process at once.
 
-    So does the end of `within` seconds after the first, wherever the process is then, also behind the block.
-    `before_exit` is called before either, and `on_stop` after the first signal, both in another thread; they
-    must not wait for anything.
+    The process also ends `within` seconds after the first signal, inside or after the block. `before_exit` is
+    called before it ends in either way, `on_stop` after the first signal, both in another thread; they must
+    not block.
 
-    The signals are read from a pipe by a thread of their own (`signal.set_wakeup_fd`): setting an event in a
+    A separate thread reads the signals from a pipe (`signal.set_wakeup_fd`): setting an event in a
     signal handler can deadlock with the main thread waiting for that event, and a handler is not run at all
     while the main thread is inside a long call.
     """
     stop = threading.Event()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    # The pipe before the handlers, so that none of them swallows a signal which nobody reads.
+    # The pipe before the handlers, so that no signal is lost.
     earlier_writer = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     earlier = {number: signal.signal(number, _ignore) for number in SIGNALS}
     threading.Thread(
@@ -79,19 +79,19 @@ def stop_on_signal(
 
 
 def leave(code: int) -> NoReturn:
-    """Exit with this code; for the end of a command, when nothing is left to be done.
+    """Exit with this code, at the end of a command.
 
-    Python waits for its threads on the way out. One that never comes to its end, such as one in which an
-    abandoned environment runs, holds the process up for `FAREWELL_SECONDS` at most.
+    Python waits for its threads when it exits. A thread that never ends, such as one with an abandoned
+    environment, delays the exit by at most `EXIT_SECONDS`.
     """
-    end = threading.Timer(FAREWELL_SECONDS, os._exit, (code,))
+    end = threading.Timer(EXIT_SECONDS, os._exit, (code,))
     end.daemon = True
     end.start()
     sys.exit(code)
 
 
 def _ignore(number: int, frame: object) -> None:
-    """Let the thread that reads the pipe deal with the signal."""
+    """Do nothing: the thread that reads the pipe handles the signal."""
 
 
 def _read_signals(
@@ -118,16 +118,16 @@ def _read_signals(
 
 
 def _end_after(seconds: float, before_exit: Callable[[], None] | None) -> None:
-    """End a process that is still there after so many seconds, and say in one line where it was."""
+    """End the process if it is still running after so many seconds, and print where it was."""
     time.sleep(seconds)
-    say(f"stopping took more than {seconds:g} s and is broken off, in {_whereabouts()}")
+    say(f"stopping took more than {seconds:g} s and is aborted, in {_whereabouts()}")
     if before_exit is not None:
         before_exit()
-    os._exit(BROKEN_OFF)
+    os._exit(NOT_DRAINED)
 
 
 def _whereabouts() -> str:
-    """Return the functions of athrl in which the main thread is, the outermost first."""
+    """Return the functions of athrl in the main thread's stack, the outermost first."""
     frame = sys._current_frames().get(threading.main_thread().ident or 0)
     names: list[str] = []
     while frame is not None:
@@ -139,7 +139,7 @@ def _whereabouts() -> str:
 
 
 def _follow_parent(stop: threading.Event) -> None:
-    """Drain when the parent's end of standard input is closed, and end the whole process group in the end."""
+    """Drain when the parent's end of standard input is closed; after the limit end the process group."""
     while os.read(0, 4096):
         pass
     signal.alarm(math.ceil(ORPHAN_SECONDS) + _MARGIN_SECONDS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,13 +14,14 @@ import pytest
 from athrl.certificates import _load_authority, _new_role, _write_role, make_all
 from athrl.doctor import disk, installation, machine, network, round_trip
 from athrl.doctor.finding import Finding, Level, findings_of, ok
-from athrl.doctor.round_trip import count, made_up_chunk, small_storm
+from athrl.doctor.round_trip import count, delivery_trial, synthetic_chunk
 from athrl.errors import CommandError
-from athrl_learner import translation
-from athrl_learner.segments import Kind, SegmentLog, numbered_segments
+from athrl_driving.kernels.machine_code import copy_code
+from athrl_learner import factories
+from athrl_learner.log import Kind, SegmentLog, numbered_segments
 from athrl_protocol import Chunk, encode_chunk
-from athrl_protocol.certificates import ROLES
 from athrl_protocol.run_file import RunFile, read_run_file
+from athrl_protocol.security.certificates import ROLES
 
 from athrl import certificates
 
@@ -37,12 +37,6 @@ def folder(tmp_path: Path) -> Path:
 
 def settings(*overrides: str) -> RunFile:
     return read_run_file(None, overrides)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def looked_at(folder: Path) -> list[Finding]:
@@ -68,6 +62,12 @@ def test_good_certificates_are_good(folder: Path) -> None:
 def test_folder_of_a_single_role_is_looked_at(folder: Path) -> None:
     (found,) = looked_at(folder / "actor")
     assert (found.check, found.level) == ("certificate actor", Level.OK)
+
+
+def test_certificate_that_is_bound_to_an_actor_is_looked_at(folder: Path) -> None:
+    certificates.bind_actors(folder, ["rig"], days=90)
+    for found in (looked_at(folder)[-1], looked_at(folder / "actors" / "rig")[0]):
+        assert (found.check, found.level) == ("certificate actor/rig", Level.OK)
 
 
 def test_expired_certificate_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,9 +119,9 @@ def test_missing_key_is_a_finding_and_the_others_are_looked_at(folder: Path) -> 
     assert "tls.key" in worst(found).seen
 
 
-def test_open_address_without_certificates_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_open_address_without_certificates_is_a_warning(monkeypatch: pytest.MonkeyPatch, port: int) -> None:
     monkeypatch.delenv("ATHRL_CERTIFICATES", raising=False)
-    found = list(network.port(settings(f"network.listen=tcp/0.0.0.0:{free_port()}")))
+    found = list(network.port(settings(f"network.listen=tcp/0.0.0.0:{port}")))
     assert worst(found).level is Level.WARNING
     assert "without certificates" in worst(found).seen
 
@@ -145,12 +145,12 @@ def test_disk_of_the_run_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_chunks_are_logged_on_the_disk_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folders = []
 
-    def storm(folder: Path, chunks: int, fsync: str) -> round_trip.Outcome:
-        outcome = small_storm(folder, 300, fsync)
+    def trial(folder: Path, chunks: int, fsync: str) -> round_trip.Outcome:
+        outcome = delivery_trial(folder, 300, fsync)
         folders.append((folder.parent, len(numbered_segments(folder)), fsync))
         return outcome._replace(acknowledged=chunks)
 
-    monkeypatch.setattr(round_trip, "small_storm", storm)
+    monkeypatch.setattr(round_trip, "delivery_trial", trial)
     of_run = settings(
         f"run.folder={tmp_path / 'runs'}",
         "durability.reserve_mebibytes=1",
@@ -165,8 +165,23 @@ def test_chunks_are_logged_on_the_disk_of_the_run(tmp_path: Path, monkeypatch: p
 
 def test_replay_is_sized_as_the_learner_sizes_it() -> None:
     of_run = settings("replay.capacity=5000")
-    real = translation.make_replay(of_run, translation.make_agent(of_run)).bytes
+    real = factories.make_replay(of_run, factories.make_agent(of_run)).bytes
     assert machine.replay_bytes(of_run) == pytest.approx(real, rel=0.1)
+
+
+def test_simulation_is_told_where_its_code_is_or_that_it_has_no_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, readable = tmp_path / "athrl-compiled-1", tmp_path / "installation" / "code"
+    (readable / "episode").mkdir(parents=True)
+    (own / "episode").mkdir(parents=True)
+    monkeypatch.setattr("athrl_driving.kernels.compilation.cache_folder", lambda: str(own))
+    (without,) = machine.simulation()
+    assert without.level is Level.WARNING
+    assert "NUMBA_CACHE_DIR" in without.remedy
+    (readable / "episode" / "drive.nbi").touch()
+    copy_code(readable, own)
+    assert list(machine.simulation()) == [ok("simulation", "compiled, in a folder that can only be read")]
 
 
 def test_service_of_another_release_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,8 +200,8 @@ def test_missing_dependency_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "no-such-thing" in found[0].seen
 
 
-def test_small_storm_loses_nothing(tmp_path: Path) -> None:
-    outcome = small_storm(tmp_path, 300)
+def test_delivery_trial_loses_nothing(tmp_path: Path) -> None:
+    outcome = delivery_trial(tmp_path, 300)
     assert (outcome.acknowledged, outcome.lost, outcome.twice) == (300, 0, 0)
     assert len(numbered_segments(tmp_path)) >= 2, "the receiver was killed and started again"
 
@@ -201,7 +216,7 @@ def test_count_finds_what_is_missing_and_what_is_there_twice(tmp_path: Path) -> 
 
 
 def _numbered(number: int) -> Chunk:
-    return replace(made_up_chunk(number), sequence=number)
+    return replace(synthetic_chunk(number), sequence=number)
 
 
 def test_expected_error_in_a_check_is_a_finding_and_a_bug_is_not() -> None:
@@ -220,18 +235,18 @@ def test_expected_error_in_a_check_is_a_finding_and_a_bug_is_not() -> None:
         list(findings_of("a", bug))
 
 
-def test_doctor_needs_no_torch_and_no_simulation() -> None:
+def test_doctor_needs_no_torch_and_no_simulation(port: int) -> None:
     program = (
         "import sys\n"
         "for name in ('torch', 'athrl_learner', 'athrl_driving', 'athrl_planners', 'onnxruntime', 'rerun'):\n"
         "    sys.modules[name] = None\n"
         "from athrl.command import main\n"
-        f"sys.argv = ['athrl', 'doctor', '--set', 'network.listen=tcp/127.0.0.1:{free_port()}']\n"
+        f"sys.argv = ['athrl', 'doctor', '--set', 'network.listen=tcp/127.0.0.1:{port}']\n"
         "main()\n"
     )
     result = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=200, env={**os.environ}
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    assert "not tried: no learner is installed here" in result.stdout
+    assert "not tested: no learner is installed here" in result.stdout
     assert "Traceback" not in result.stderr

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import athrl_driving.maps.town
 import pytest
 from athrl.errors import CommandError
-from athrl.train.closing import comparison_tables
-from athrl.train.plan import divide_cores, require_world
+from athrl.train.comparison import comparison_tables
+from athrl.train.plan import Plan, divide_cores, require_world
 from athrl_protocol import RunFileError
 from athrl_protocol.run_file import (
     EnvironmentSection,
@@ -22,6 +23,8 @@ from athrl_protocol.run_file import (
 from rich.console import Console
 
 from athrl import runs
+
+FOLDER = Path(athrl_driving.maps.town.__file__).parent / "towns"
 
 SCORES = {
     "episodes": 2.0,
@@ -46,6 +49,25 @@ def test_learner_trains_on_every_core_and_more_actors_drive_where_there_are_more
     assert (division.threads, division.actors) == (threads, actors)
 
 
+def test_services_may_leave_once_the_learners_own_file_says_that_all_experience_is_in(tmp_path: Path) -> None:
+    wanted = [f"run.folder={tmp_path}", "run.name=known", "run.environment_steps=400"]
+    plan = Plan(read_run_file(None, wanted), run_file=None, overrides=wanted, resume=False)
+    services = [plan.actor(1), plan.evaluator(), plan.viewer(9877)]
+    facts = tmp_path / "known" / "policies" / "latest.json"
+    facts.parent.mkdir(parents=True)
+    for content, may_leave in (
+        (None, False),
+        ("no json", False),
+        ("[1]", False),
+        ('{"environment_steps": 399}', False),
+        ('{"environment_steps": 400}', True),
+    ):
+        if content is not None:
+            facts.write_text(content)
+        assert [service.may_leave() for service in services] == [may_leave] * 3
+    assert plan.learner(1).may_leave()
+
+
 def test_what_is_settled_already_stays() -> None:
     division = divide_cores(8, threads=3, actors=5)
     assert (division.threads, division.actors) == (3, 5)
@@ -67,6 +89,15 @@ def test_every_town_must_have_room_for_the_vehicles() -> None:
     require_world(EnvironmentSection(towns={"town03": 1.0, "town02": 1.0}, vehicles=20))
     with pytest.raises(CommandError, match="vehicles is 800, town02 has room for"):
         require_world(EnvironmentSection(towns={"town03": 1.0, "town02": 1.0}, vehicles=800))
+
+
+def test_a_fault_of_a_map_is_refused_before_a_run_starts_where_maps_are_strict(tmp_path: Path) -> None:
+    text = (FOLDER / "town02.xodr").read_text()
+    path = tmp_path / "mine.XODR"
+    path.write_text(text.replace('unit="mph"', 'unit="MPH"', 1))
+    require_world(EnvironmentSection(towns={str(path): 1.0}, vehicles=20))
+    with pytest.raises(ValueError, match=r"^mine.XODR: road 1, line \d+: a unit .+ is read strictly$"):
+        require_world(EnvironmentSection(towns={str(path): 1.0}, vehicles=20, strict_map=True))
 
 
 def drawn(comparison: dict[str, Any]) -> str:
@@ -97,7 +128,7 @@ def test_closing_tables_of_several_towns_are_one_each_and_one_over_all() -> None
 def planners() -> Iterator[None]:
     """Run files are held to the planners' settings for the time of a test."""
     before = declared_planners()
-    runs.know_planners()
+    runs.declare_installed_planners()
     yield
     declare_planners(before)
 
@@ -131,5 +162,6 @@ def test_run_of_one_planner_is_not_resumed_as_one_of_another(tmp_path: Path) -> 
 
 
 def test_planners_are_known_without_torch() -> None:
-    program = "import sys; from athrl import runs; runs.know_planners(); sys.exit('torch' in sys.modules)"
+    call = "runs.declare_installed_planners()"
+    program = f"import sys; from athrl import runs; {call}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], timeout=120).returncode == 0

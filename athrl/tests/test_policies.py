@@ -9,7 +9,7 @@ from athrl.errors import CommandError
 from athrl.evaluate import find_driver
 from athrl.policies import policies
 from athrl.watch import watch
-from athrl_evaluator import shipped_policies
+from athrl_evaluator.policies import shipped as shipped_policies
 
 CARD: dict[str, Any] = {
     "planner": "athrl",
@@ -87,8 +87,8 @@ def test_driver_that_there_is_not_is_told_in_one_line(folder: Path, policy: str,
         ({"town": "town02"}, "--town is for watching a policy without a run"),
         ({"force": ["intention=0"]}, "--force is for watching a policy without a run"),
         ({"save": Path("a.rrd")}, "--save is for watching a policy without a run"),
-        ({"policy": "blind", "what": "one"}, "one has no place beside --policy"),
-        ({"policy": "blind", "save": Path("a.rrd"), "serve": 9999}, "--serve has no place beside --save"),
+        ({"policy": "blind", "what": "one"}, "one cannot be used with --policy"),
+        ({"policy": "blind", "save": Path("a.rrd"), "serve": 9999}, "--serve cannot be used with --save"),
         ({"policy": "blind", "town": "town3"}, "--town town3: "),
         ({"policy": "town3"}, "did you mean town03?"),
     ],

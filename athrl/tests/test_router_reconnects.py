@@ -1,9 +1,8 @@
-"""A router connects anew to a learner that is connected and does not answer, and to no other."""
+"""A router reconnects to a learner that is connected and does not answer, and only then."""
 
 from __future__ import annotations
 
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -64,10 +63,7 @@ class _Learner:
 
 
 @pytest.fixture
-def learner() -> Iterator[tuple[str, _Learner]]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+def learner(address: str) -> Iterator[tuple[str, _Learner]]:
     with ExitStack() as stack:
         yield address, _Learner(address, read_run_file(None, [f"run.name={RUN}"]), stack)
 
@@ -80,12 +76,11 @@ def _await(condition: Callable[[], bool]) -> None:
 
 
 @pytest.mark.timeout(240)
-def test_router_connects_anew_to_a_learner_that_is_there_and_silent(learner: tuple[str, _Learner]) -> None:
+def test_router_connects_anew_to_a_learner_that_is_there_and_silent(
+    learner: tuple[str, _Learner], free_address: Callable[[], str]
+) -> None:
     address, there = learner
-    words = ["router", "--listen", "tcp/127.0.0.1:0", "--connect", address, "--run", RUN]
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        words[2] = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    words = ["router", "--listen", free_address(), "--connect", address, "--run", RUN]
     router = subprocess.Popen([sys.executable, "-m", "athrl", *words], stderr=subprocess.PIPE, text=True)
     try:
         _await(lambda: there.came == 1)
@@ -103,4 +98,4 @@ def test_router_connects_anew_to_a_learner_that_is_there_and_silent(learner: tup
     finally:
         router.kill()
     assert router.returncode == 0
-    assert f"{address} is connected and does not answer: connecting anew" in told
+    assert f"{address} is connected and does not answer: reconnecting" in told

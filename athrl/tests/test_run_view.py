@@ -1,16 +1,19 @@
-"""Who looks at a run from outside leaves nothing of it behind."""
+"""Who looks at a run from outside leaves nothing of it behind, and is told when its learner is not heard."""
 
 from __future__ import annotations
 
-import socket
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+import pytest
 from athrl.run_view import RunSnapshot, RunView
 from athrl_protocol import Phase, RunFile, RunState, StatePublisher, open_session, serve_run_file
+
+from athrl import run_view
 
 PATIENCE = 30.0
 LOOKS = 30
@@ -23,15 +26,23 @@ with RunView(sys.argv[1], None, timeout=30):
 """
 
 
-def _free_address() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+_LEARNER = """
+import sys, time
+from athrl_protocol import *
+with (
+    open_session(listen=sys.argv[1], timeout=30) as session,
+    serve_run_file(session, RunFile()),
+    announce_presence(session, RunFile().run.name, "learner", "learner"),
+    StatePublisher(session, RunFile().run.name) as states,
+):
+    while True:
+        states.publish(RunState(Phase.TRAINING, 10, 100, 1, 1, ""))
+        time.sleep(0.2)
+"""
 
 
-def test_process_that_has_looked_at_a_run_ends_cleanly() -> None:
+def test_process_that_has_looked_at_a_run_ends_cleanly(address: str) -> None:
     """A thread that is inside Zenoh when the interpreter ends aborts the process, once in ten times or so."""
-    address = _free_address()
 
     def look(_: int) -> tuple[int, str]:
         command = [sys.executable, "-c", _LOOK, address]
@@ -46,8 +57,8 @@ def test_process_that_has_looked_at_a_run_ends_cleanly() -> None:
         assert set(looking.map(look, range(LOOKS))) == {(0, "")}
 
 
-def test_rate_of_the_warm_up_is_not_taken_for_that_of_training() -> None:
-    address, run_file = _free_address(), RunFile()
+def test_rate_of_the_warm_up_is_not_taken_for_that_of_training(address: str) -> None:
+    run_file = RunFile()
 
     def snapshot(until: Callable[[RunSnapshot], bool]) -> RunSnapshot:
         deadline = time.monotonic() + PATIENCE
@@ -72,3 +83,33 @@ def test_rate_of_the_warm_up_is_not_taken_for_that_of_training() -> None:
         states.publish(RunState(Phase.TRAINING, 2_010, 30_000, 1, 0, ""))
         assert snapshot(in_phase(Phase.TRAINING)).steps_per_second is None
         assert snapshot(lambda now: now.steps_per_second is not None).steps_per_second == 0.0
+
+
+def test_paused_learner_is_told_from_an_absent_one(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_view, "SILENT_SECONDS", 1.5)
+    monkeypatch.setattr(run_view, "PROBE_SECONDS", 0.2)
+
+    def until(told: str, *, connected: bool = True) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            silence, is_connected = view.snapshot().silence, bool(view._session.info.links())
+            if is_connected == connected and silence.partition(":")[0] == told:
+                return
+            assert time.monotonic() < deadline, silence
+            time.sleep(0.05)
+
+    with (
+        subprocess.Popen([sys.executable, "-c", _LEARNER, address]) as learner,
+        RunView(address, None, timeout=PATIENCE) as view,
+    ):
+        try:
+            time.sleep(2.0)
+            assert view.snapshot().silence == ""
+            learner.send_signal(signal.SIGSTOP)
+            until("the learner is paused or very busy")
+            until("the learner is paused or very busy", connected=False)
+            learner.send_signal(signal.SIGCONT)
+            until("")
+        finally:
+            learner.kill()
+        until(f"the learner is absent, no process listens at {address.partition(':')[0]}", connected=False)

@@ -46,3 +46,63 @@ def test_run_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -> N
     write_run(tmp_path / "here")
     with pytest.raises(CommandError, match=r"'gone'.*here"):
         runs.resumed_settings("gone", [f"run.folder={tmp_path}"])
+
+
+def test_resumed_run_keeps_what_is_not_asked_for_any_more(tmp_path: Path) -> None:
+    """As containers that are made anew, without the settings that the first ones had."""
+    write_run(tmp_path / "run", "run.environment_steps=40000", "learner.batch=5")
+    asked = [f"run.folder={tmp_path}", "run.name=run", "network.listen=tcp/0.0.0.0:7447"]
+    assert runs.folder_asked_for(None, asked) == tmp_path / "run"
+    settings, _ = runs.resumed_settings(str(tmp_path / "run"), asked)
+    assert (settings.run.environment_steps, settings.learner.batch) == (40_000, 5)
+    assert settings.network.listen == "tcp/0.0.0.0:7447"
+
+
+def test_run_file_of_a_resumed_run_changes_what_it_has_and_nothing_else(tmp_path: Path) -> None:
+    write_run(tmp_path / "old", "run.environment_steps=40000", "learner.batch=5", "learner.threads=3")
+    run_file = tmp_path / "given.toml"
+    run_file.write_text("[learner]\nbatch = 6\nthreads = 4\n[run]\nname = 'other'\n")
+    settings, folder = runs.resumed_settings(str(tmp_path / "old"), ["learner.threads=2"], run_file)
+    assert (settings.learner.batch, settings.learner.threads) == (6, 2)
+    assert (settings.run.name, settings.run.environment_steps) == ("old", 40_000)
+    run_file.write_text("[planner]\nkind = 'ddpg'\n")
+    with pytest.raises(
+        CommandError, match=r"given\.toml: planner\.kind: .*/old is a run of the planner athrl"
+    ):
+        runs.resumed_settings(str(folder), [], run_file)
+
+
+def test_folder_that_has_no_name_of_a_run_is_named(tmp_path: Path) -> None:
+    write_run(tmp_path / "Copy of old")
+    with pytest.raises(
+        CommandError, match=r"Copy of old has the name of its run: should be a name of at most"
+    ):
+        runs.resumed_settings(str(tmp_path / "Copy of old"), [])
+
+
+def test_run_in_the_working_folder_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_run(tmp_path / "2024", "run.name='2024'")
+    monkeypatch.chdir(tmp_path / "2024")
+    assert runs.resumed_settings(".", [])[0].run.name == "2024"
+
+
+@pytest.mark.parametrize("name", ["2024", "true", "nan", "a_b-c"])
+def test_name_is_a_text(name: str) -> None:
+    runs.require_name(name, "--name")
+
+
+@pytest.mark.parametrize("name", ["Town 3", "", "-a", "a" * 64])
+def test_rule_for_names_is_told(name: str) -> None:
+    with pytest.raises(CommandError, match="--name: should be a name of at most 63 characters: a-z, 0-9"):
+        runs.require_name(name, "--name")
+
+
+def test_whole_run_file_does_not_make_the_run_forget_its_maps(tmp_path: Path) -> None:
+    checksums = {str(tmp_path / "m.xodr"): "0" * 64}
+    run_file = read_run_file(None, [f"environment.towns={tmp_path}/m.xodr"])
+    began = run_file.model_copy(update={"run": run_file.run.model_copy(update={"map_checksums": checksums})})
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "run.toml").write_text(to_toml(began))
+    (tmp_path / "given.toml").write_text(to_toml(run_file))
+    settings, _ = runs.resumed_settings(str(tmp_path / "mine"), [], tmp_path / "given.toml")
+    assert settings.run.map_checksums == checksums

@@ -6,12 +6,12 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from athrl.picture import plain_line
 from athrl.run_view import RunSnapshot
+from athrl.status_panel import plain_line
 from athrl_protocol import Phase, RunState
 from athrl_protocol.run_file import RunFile
 
-from athrl import names, status
+from athrl import service_names, status
 
 STATE = RunState(Phase.TRAINING, 1_500, 6_000, 320, 7, "")
 SNAPSHOT = RunSnapshot(
@@ -41,13 +41,13 @@ def test_single_look_during_the_warm_up_tells_no_end(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("role", ["actor", "router"])
 def test_bare_role_means_a_service_that_this_host_named(monkeypatch: pytest.MonkeyPatch, role: str) -> None:
-    monkeypatch.setattr(names, "host_name", lambda: "rig")
+    monkeypatch.setattr(service_names, "host_name", lambda: "rig")
     monkeypatch.setattr(status, "host_name", lambda: "rig")
     belongs, called = status._meant(role, "")
     for name, own in (("rig", True), ("rig-4711", True), ("rig2", False), ("rig-b-4711", False)):
         assert belongs(name) == own
     assert "'rig'" in called
-    assert belongs(names.own_name())
+    assert belongs(service_names.own_name())
 
 
 def test_role_with_a_name_means_that_one_alone() -> None:

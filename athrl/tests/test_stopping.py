@@ -119,7 +119,7 @@ def test_thread_that_never_ends_does_not_keep_a_command_from_leaving() -> None:
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from athrl import stopping
-stopping.FAREWELL_SECONDS = 1.0
+stopping.EXIT_SECONDS = 1.0
 ThreadPoolExecutor(1).submit(threading.Event().wait)
 stopping.leave(2)
 """

@@ -1,4 +1,4 @@
-"""A dead service is started again as often as it may be, and taken down with the rest after that."""
+"""A dead service is restarted up to its limit, then all services are ended."""
 
 import sys
 import time
@@ -33,6 +33,32 @@ def test_service_that_ends_well_is_not_started_again(tmp_path: Path) -> None:
     assert one.deaths == 0
 
 
+def test_service_that_leaves_before_its_learner_is_started_again_however_often(tmp_path: Path) -> None:
+    said: list[str] = []
+    needed = [True]
+    supervisor = Supervisor(said.append)
+    one = service(tmp_path, "pass", may_leave=lambda: not needed[0], early_seconds=0.02)
+    supervisor.start(one)
+    watch(supervisor, lambda: one.left_early == 3)
+    assert said == ["one left before its learner ended; starting it again"] * 3
+    needed[0] = False
+    watch(supervisor, lambda: one.finished)
+    assert one.deaths == 0
+    assert len(said) == 3
+
+
+def test_service_that_leaves_a_little_before_the_end_is_known_stays_away(tmp_path: Path) -> None:
+    said: list[str] = []
+    ended: list[bool] = []
+    supervisor = Supervisor(said.append)
+    one = service(tmp_path, "pass", may_leave=lambda: bool(ended), early_seconds=0.5)
+    supervisor.start(one)
+    watch(supervisor, lambda: one.restart_at is not None)
+    ended.append(True)
+    watch(supervisor, lambda: one.finished)
+    assert said == []
+
+
 def test_dead_service_is_started_again_with_its_restart_arguments(tmp_path: Path) -> None:
     said: list[str] = []
     supervisor = Supervisor(said.append)
@@ -51,8 +77,8 @@ def test_single_death_is_made_good_at_once_and_repeated_ones_ever_later(tmp_path
     supervisor.start(one)
     watch(supervisor, lambda: one.deaths == 2)
     assert one.process.exit_code is not None
-    assert one.restart_at is not None  # not yet started again
-    assert [line.rpartition("again ")[2] for line in said] == ["at once", "in 1 s"]
+    assert one.restart_at is not None  # not yet restarted
+    assert [line.rpartition("restarting it ")[2] for line in said] == ["at once", "in 1 s"]
     watch(supervisor, lambda: one.deaths == 3)
     assert said[-1].endswith("in 2 s")
 

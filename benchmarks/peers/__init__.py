@@ -1,1 +1,1 @@
-"""Our default run beside what people would use instead: see `python -m benchmarks.peers --help`."""
+"""Our default run compared with other libraries: see `python -m benchmarks.peers --help`."""

@@ -1,19 +1,19 @@
 """Our default run beside Stable-Baselines3's PPO, TD3 and SAC: the same town, cores and wall time.
 
-`python -m benchmarks.peers --minutes 10` trains one after the other, each in processes of its own on the same
-cores, and drives each policy greedily on the same 100 episodes, whose seeds (from 700000) nobody trains on.
-`--with torchrl,rllib` adds their PPO where they can be installed, in an environment of its own each.
+`python -m benchmarks.peers --minutes 10` trains one after the other, each in separate processes on the same
+cores, and drives each policy greedily on the same 100 held-out episodes, with seeds from 700000.
+`--with torchrl,rllib` adds their PPO if they can be installed, each in its own environment.
 
-What counts as time is training alone: the clock starts before the first decision (of our run: with the last
-moment at which the learner had none) and ends after the last update; starting, compiling and scoring on the
-way count for nobody. Ours is `athrl train` as it is, with actors, Zenoh and log, only its evaluator scores
-nothing on the way. Its length in decisions, by which its rates fall, is `--ours-steps`, or what fits
-according to a short run before it. The peers' rates fall likewise, by the clock. Nothing is chosen by the
-scores: the last policy is the one in the table, and the JSON says how each was set.
+Only training counts as time: the clock starts before the first decision (of our run: with the last
+moment at which the learner had none) and ends after the last update; starting, compiling and intermediate
+scoring do not count. Ours is an unchanged `athrl train`, with actors, Zenoh and log, but its evaluator does
+not score during training. Its number of decisions, which determines its schedules, is `--ours-steps`, or is
+derived from a short run before. The peers' schedules depend on the clock. Nothing is selected by scores: the
+table has the last policies, and the JSON has all settings.
 
-`--out` gets peers.json, peers.png, curves.csv, a NAME.json for each and the run's folder. With `--resume` a
-NAME.json that is there already, of the same comparison, is taken instead of measuring again. The last line
-printed is peers.json in one line. The machine should have nothing else to do.
+`--out` gets peers.json, peers.png, curves.csv, a NAME.json for each and the run's folder. With `--resume` an
+existing NAME.json of the same comparison is used instead of measuring again. The last printed line is
+peers.json in one line. The machine should be idle otherwise.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from benchmarks.peers.comparison import Comparison, Learned
 from benchmarks.peers.installation import PACKAGES, PEER_OF, NotInstalled, install
 from benchmarks.peers.waiting import faster_waiting
 
-EVERYBODY = ("ours", "sb3_ppo", "sb3_td3", "sb3_sac")
+CONTESTANTS = ("ours", "sb3_ppo", "sb3_td3", "sb3_sac")
 ROOT = Path(__file__).parents[2]
 
 
@@ -47,7 +47,7 @@ class PeerFailed(RuntimeError):  # noqa: N818  (the name says what happened)
 
 
 def main() -> None:
-    """Measure, print, draw; exit code 1 where somebody failed."""
+    """Measure, print, draw; exit code 1 if a contestant failed."""
     arguments = _arguments()
     cores = sorted(os.sched_getaffinity(0))[: arguments.cores]
     os.sched_setaffinity(0, cores)  # of this process and all that it starts
@@ -63,7 +63,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     try:
         rule_based = ours.evaluate(comparison, "rule-based")
-    except ours.RunFailed as failure:  # such as of a town that there is not
+    except ours.RunFailed as failure:  # for instance an unknown town
         print(failure, file=sys.stderr)
         sys.exit(2)
     with ExitStack() as stack:
@@ -83,7 +83,7 @@ def main() -> None:
 def _measure_all(
     comparison: Comparison, arguments: argparse.Namespace, pythons: Mapping[str, Path]
 ) -> dict[str, Learned | str]:
-    """One after the other; what failed is a line that says why."""
+    """Train one after the other; a failure is a line with the cause."""
     found: dict[str, Learned | str] = {}
     for name in [*arguments.only, *(name for name in pythons if name not in arguments.only)]:
         file = arguments.out / f"{name}.json"
@@ -106,7 +106,7 @@ def _measure_all(
 
 
 def _train_peer(name: str, python: Path, comparison: Comparison, file: Path) -> Learned:
-    """Train a peer in a process of its own; its libraries get as many threads as there are cores."""
+    """Train a peer in a separate process; its libraries get as many threads as there are cores."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(comparison.cores))
     threads |= faster_waiting(comparison.cores)
     command = [
@@ -133,7 +133,7 @@ def _train_peer(name: str, python: Path, comparison: Comparison, file: Path) -> 
 
 
 def _earlier(file: Path, comparison: Comparison) -> Learned | None:
-    """What was measured before, if it is of the same comparison."""
+    """An earlier result, if it is of the same comparison."""
     try:
         earlier = Learned.read(file)
     except (OSError, ValueError, TypeError, KeyError):
@@ -142,7 +142,7 @@ def _earlier(file: Path, comparison: Comparison) -> Learned | None:
 
 
 def _pythons(arguments: argparse.Namespace, stack: ExitStack) -> dict[str, Path]:
-    """The Python of each peer that has an environment of its own; who cannot be installed is left out."""
+    """The Python of each peer with its own environment; peers that cannot be installed are skipped."""
     pythons: dict[str, Path] = {}
     for library in arguments.others:
         folder = arguments.environments or Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -197,12 +197,12 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.peers", description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=_positive, default=10.0, help="of training, for each")
     parser.add_argument("--cores", type=_whole(1), default=2, help="for each, of those given to us")
-    parser.add_argument("--only", type=_names(EVERYBODY), default=list(EVERYBODY), metavar="NAME,NAME",
-                        help=f"who is compared: {', '.join(EVERYBODY)}")  # fmt: skip
+    parser.add_argument("--only", type=_names(CONTESTANTS), default=list(CONTESTANTS), metavar="NAME,NAME",
+                        help=f"contestants: {', '.join(CONTESTANTS)}")  # fmt: skip
     parser.add_argument("--with", dest="others", type=_names(tuple(PACKAGES)), default=[],
                         metavar="NAME,NAME", help=f"others to compare: {', '.join(PACKAGES)}")  # fmt: skip
     parser.add_argument("--environments", type=Path, metavar="FOLDER",
-                        help="where those are installed and kept; by default nowhere")  # fmt: skip
+                        help="folder of their environments; by default a temporary one")  # fmt: skip
     parser.add_argument("--seed", type=_whole(0), default=0)
     parser.add_argument("--town", default="town03", help="a town's name, or a map PATH.xodr")
     parser.add_argument("--vehicles", type=_whole(0), default=100)
@@ -210,7 +210,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--episodes", type=_whole(2), default=100, help="that each policy is scored on")
     parser.add_argument("--ours-steps", type=_whole(1), help="our run's length in decisions")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE",
-                        help="a setting of our run that is not the default")  # fmt: skip
+                        help="setting of our run that differs from the default")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("runs/peers"), metavar="FOLDER")
     parser.add_argument("--resume", action="store_true", help="measure only what --out does not hold yet")
     return parser.parse_args()

@@ -25,7 +25,7 @@ _COLOURS = ("#0b62a4", "#d1495b", "#edae49", "#66a182", "#7a5195", "#8d6e63")
 
 
 def draw(learned: Mapping[str, Learned], rule_based: Mapping[str, float], file: Path) -> None:
-    """Draw everybody's curves and the rule-based driver as a line, into a PNG or SVG file."""
+    """Draw the curves of all contestants and the rule-based driver as a line, into a PNG or SVG file."""
     mpl.use("Agg")
     figure, (above, below) = pyplot.subplots(2, 1, figsize=(8.0, 7.0), sharex=True, layout="constrained")
     for name, colour in zip(TITLES, _COLOURS, strict=True):

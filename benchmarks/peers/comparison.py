@@ -1,4 +1,4 @@
-"""What is the same for everybody who is compared, and what comes of each."""
+"""Settings shared by all contestants, and the result of each."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Act = Callable[[Observation], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Comparison:
-    """Who learns where, for how long, on which cores, and on which episodes it is scored."""
+    """Town, training time, cores and scored episodes of the comparison."""
 
     town: str = "town03"
     vehicles: int = 100
@@ -41,7 +41,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Point:
-    """What the policy of one moment scores, greedily; `seconds` of training and `decisions` so far."""
+    """Greedy scores of the policy at one time; `seconds` of training and `decisions` so far."""
 
     seconds: float
     decisions: int
@@ -54,14 +54,14 @@ class Point:
 
 @dataclass(frozen=True)
 class Learned:
-    """What came of one of those who are compared; the last point is its row in the table."""
+    """The result of one contestant; the last point is its row in the table."""
 
     comparison: Comparison
     points: list[Point]
     remarks: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
-        """Keep it as JSON."""
+        """Write it as JSON."""
         path.write_text(json.dumps(asdict(self), indent=1) + "\n")
 
     @classmethod
@@ -73,7 +73,7 @@ class Learned:
 
 
 class Training:
-    """A peer's time, in which it is scored now and then; scoring does not count.
+    """A peer's training time, with intermediate scoring, which does not count.
 
     The peer calls `begin` before its first decision, `goes_on` after each and `end` after its last update.
     """
@@ -84,21 +84,21 @@ class Training:
         self._score = score
         self._began = 0.0
         self._paused = 0.0
-        self._parts = 0  # of the time, those that were scored
+        self._parts = 0  # parts of the time that were scored
 
     def begin(self) -> None:
-        """The clock runs from now on."""
+        """Start the clock."""
         self._began = time.monotonic()
         self._paused = 0.0
 
     @property
     def seconds(self) -> float:
-        """Of training so far."""
+        """Seconds of training so far."""
         return time.monotonic() - self._began - self._paused
 
     @property
     def progress(self) -> float:
-        """Share of the time that is over, 0 to 1."""
+        """Elapsed share of the time, 0 to 1."""
         return min(1.0, self.seconds / self.comparison.seconds)
 
     def falling(self, initial: float) -> float:
@@ -106,7 +106,7 @@ class Training:
         return initial * (1.0 - 0.9 * self.progress)
 
     def goes_on(self, decisions: int, act: Act) -> bool:
-        """Score the policy where that is due; return whether there is time left."""
+        """Score the policy if that is due; return whether there is time left."""
         parts = int(self.seconds / self.comparison.seconds * self.comparison.points)
         if self._parts < parts < self.comparison.points:
             self._parts = parts
@@ -114,7 +114,7 @@ class Training:
         return self.seconds < self.comparison.seconds
 
     def end(self, decisions: int, act: Act) -> None:
-        """Score what came of it."""
+        """Score the final policy."""
         self._add_point(decisions, act)
 
     def _add_point(self, decisions: int, act: Act) -> None:

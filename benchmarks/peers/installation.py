@@ -1,4 +1,4 @@
-"""Libraries that cannot share an environment with us get one of their own, with ours behind it."""
+"""Separate environments for libraries that conflict with ours; they can also import ours."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ INSTALLATION_SECONDS = 900.0
 
 
 class NotInstalled(RuntimeError):  # noqa: N818  (the name says what happened)
-    """A library cannot be had here; `str()` is one line."""
+    """A library cannot be installed here; `str()` is one line."""
 
 
 def install(library: str, folder: Path) -> Path:
-    """Install a library into `folder`, unless it is there, and return the Python that has it.
+    """Install a library into `folder` if necessary, and return its Python.
 
     What it needs and we have, such as torch, is taken from our environment; where it insists on another
     version, as RLlib does on its gymnasium, that goes before ours.

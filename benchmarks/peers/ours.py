@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -19,6 +18,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from athrl.ports import free_address
 from athrl.run_view import RunView
 from athrl_protocol import LearnerNotFound, Phase, RunNotFound, RunState
 
@@ -31,17 +31,17 @@ START_SECONDS = 240.0
 """How long the services may take until the first decision, compilation included."""
 STOP_SECONDS = 120.0
 ENDLESS = 10**9
-GLANCE_SECONDS = 0.1
+POLL_SECONDS = 0.1
 SCORES = ("return_mean", "return_ci95", "collision_rate", "off_lane_rate", "full_episode_rate")
 
 
 class RunFailed(RuntimeError):  # noqa: N818  (the name says what happened)
-    """The command ended, or did not start, before its time; `str()` is one line."""
+    """The command did not start or ended too early; `str()` is one line."""
 
 
 @dataclass(frozen=True)
 class Saved:
-    """A policy that was laid aside on the way."""
+    """A copy of an intermediate policy."""
 
     seconds: float
     decisions: int
@@ -51,7 +51,7 @@ class Saved:
 class LiveRun:
     """A run of `athrl train` whose clock starts with the first decision that the learner took in.
 
-    The learner tells its state once a second: the clock starts with the last moment at which it told of none,
+    The learner reports its state once a second: the clock starts at the last report without any decision,
     so it is fast by a second at most, never slow.
     """
 
@@ -65,17 +65,17 @@ class LiveRun:
         """Since the first decision."""
         return time.monotonic() - self.began
 
-    def look(self) -> RunState | None:
-        """The newest state; raises RunFailed where the command has ended by itself before the run."""
+    def newest_state(self) -> RunState | None:
+        """The newest state; raises RunFailed if the command ended before the run."""
         state = self._view.snapshot().state
         if self._process.poll() is not None and (state is None or state.phase is not Phase.FINISHED):
             raise RunFailed(f"athrl train ended with code {self._process.poll()}: {_last_line(self._log)}")
         return state
 
     def save(self, file: Path) -> Saved:
-        """Lay the newest policy aside; raises RunFailed where there is none."""
+        """Copy the newest policy; raises RunFailed if there is none."""
         newest = self.folder / "policies" / "latest.onnx"
-        for _ in range(50):  # the facts are renamed into place a moment before their policy
+        for _ in range(50):  # the facts are renamed a moment before their policy
             try:
                 facts = json.loads(newest.with_suffix(".json").read_bytes())
                 content = newest.read_bytes()
@@ -84,41 +84,41 @@ class LiveRun:
             if hashlib.sha256(content).hexdigest() == facts["sha256"]:
                 file.write_bytes(content)
                 return Saved(self.seconds, facts["environment_steps"], file)
-            time.sleep(GLANCE_SECONDS)
+            time.sleep(POLL_SECONDS)
         raise RunFailed(f"{newest} is not the policy of which {newest.with_suffix('.json').name} tells")
 
     def _wait_for_the_first_decision(self) -> float:
         deadline = time.monotonic() + START_SECONDS
         before = time.monotonic()
-        while (state := self.look()) is None or state.environment_steps == 0:
+        while (state := self.newest_state()) is None or state.environment_steps == 0:
             before = time.monotonic()
             if before > deadline:
                 raise RunFailed(f"no decision within {START_SECONDS:.0f} s: see {self._log}")
-            time.sleep(GLANCE_SECONDS)
+            time.sleep(POLL_SECONDS)
         return before
 
 
 def learn(comparison: Comparison, folder: Path, steps: int | None, settings: Sequence[str]) -> Learned:
-    """Train for the comparison's time and score what was laid aside.
+    """Train for the comparison's time and score the copied policies.
 
     `steps` is the run's length in decisions, over which rates and noise fall; without it a short run before
     tells how many fit. `settings` are overrides of the default run file, KEY=VALUE.
 
     Raises:
-        RunFailed: the run did not come to its end.
+        RunFailed: the run did not reach its end.
     """
     folder.mkdir(parents=True, exist_ok=True)
     calibration = {} if steps else calibrate(comparison, folder, settings)
     target = steps or max(1, round(MARGIN * calibration["decisions_that_fit"]))
     saved: list[Saved] = []
     with _started(comparison, folder, "ours", target, settings) as run:
-        while (state := run.look()) is None or state.phase not in (Phase.FINISHED, Phase.DRAINING):
+        while (state := run.newest_state()) is None or state.phase not in (Phase.FINISHED, Phase.DRAINING):
             share = (len(saved) + 1) / comparison.points
             if share < 1.0 and run.seconds >= share * comparison.seconds:
                 saved.append(run.save(folder / f"ours-{len(saved) + 1}.onnx"))
             if run.seconds >= comparison.seconds:
                 break
-            time.sleep(GLANCE_SECONDS)
+            time.sleep(POLL_SECONDS)
         last = run.save(folder / "ours.onnx")
         finished = state is not None and state.phase is Phase.FINISHED
         decisions = state.environment_steps if state is not None else last.decisions
@@ -132,16 +132,16 @@ def calibrate(comparison: Comparison, folder: Path, settings: Sequence[str]) -> 
     """How many decisions fit into the time, from the rate of a run that has just begun to train."""
     seconds = min(CALIBRATION_SECONDS, comparison.seconds)
     with _started(comparison, folder, "calibration", ENDLESS, settings) as run:
-        while (state := run.look()) is None or state.updates == 0:
+        while (state := run.newest_state()) is None or state.updates == 0:
             if run.seconds > START_SECONDS:
                 raise RunFailed(f"no update within {START_SECONDS:.0f} s")
-            time.sleep(GLANCE_SECONDS)
+            time.sleep(POLL_SECONDS)
         news = [(run.seconds, state.environment_steps)]
         while run.seconds - news[0][0] < seconds or len(news) < 2:
-            state = run.look() or state
+            state = run.newest_state() or state
             if state.environment_steps != news[-1][1]:
                 news.append((run.seconds, state.environment_steps))
-            time.sleep(GLANCE_SECONDS)
+            time.sleep(POLL_SECONDS)
     (began, first), (ended, last) = news[0], news[-1]
     rate = (last - first) / (ended - began)
     fit = first + rate * max(0.0, comparison.seconds - began)
@@ -171,9 +171,9 @@ def evaluate(comparison: Comparison, driver: Path | str) -> dict[str, float]:
 def _started(
     comparison: Comparison, folder: Path, name: str, steps: int, settings: Sequence[str]
 ) -> Iterator[LiveRun]:
-    """A run that drives already; inside the block it goes on, after it nothing of it is left running."""
+    """A run that is already driving; inside the block it continues, after the block it has ended."""
     name = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    address = f"tcp/127.0.0.1:{_free_port()}"
+    address = free_address()
     ours = {
         "run.folder": folder / "runs",
         "run.seed": comparison.seed + 1,
@@ -203,18 +203,18 @@ def _started(
 
 
 def _view(process: subprocess.Popen[bytes], address: str, name: str, log: Path, stack: ExitStack) -> RunView:
-    """Wait until the learner answers; raises RunFailed where it does not."""
+    """Wait until the learner answers; raises RunFailed if it does not."""
     deadline = time.monotonic() + START_SECONDS
     while time.monotonic() < deadline and process.poll() is None:
         try:
             return stack.enter_context(RunView(address, name, timeout=1.0))
         except (LearnerNotFound, RunNotFound):
-            time.sleep(GLANCE_SECONDS)
+            time.sleep(POLL_SECONDS)
     raise RunFailed(f"athrl train did not start: {_last_line(log)}")
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
-    """Ask the command to drain, which leaves the policy and a checkpoint, and see it off."""
+    """Ask the command to drain, which writes the policy and a checkpoint, and wait for its end."""
     process.send_signal(signal.SIGINT)
     try:
         process.wait(STOP_SECONDS)
@@ -225,12 +225,6 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 def _athrl(*words: str) -> list[str]:
     return [sys.executable, "-m", "athrl", *words]
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _last_line(log: Path) -> str:

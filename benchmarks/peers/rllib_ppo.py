@@ -1,4 +1,4 @@
-"""RLlib's PPO, all of it in this process, in an environment of its own (`--with rllib`)."""
+"""RLlib's PPO, all of it in this process, in its own environment (`--with rllib`)."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ class TownModule(TorchRLModule, ValueFunctionAPI):
 
 
 class WithoutInfos(VectorWrapper):
-    """Towns that tell nothing of themselves, which RLlib would take apart at each step."""
+    """Towns without infos, which RLlib would process at each step."""
 
     def reset(self, **arguments: Any) -> tuple[Observation, dict[str, Any]]:
-        """Begin new episodes."""
+        """Start new episodes."""
         return self.env.reset(**arguments)[0], {}
 
     def step(self, actions: NDArray) -> tuple[Observation, NDArray, NDArray, NDArray, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""TorchRL's PPO: its collector, advantages and loss, in an environment of its own (`--with torchrl`)."""
+"""TorchRL's PPO: its collector, advantages and loss, in its own environment (`--with torchrl`)."""
 
 from __future__ import annotations
 

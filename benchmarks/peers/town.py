@@ -1,4 +1,4 @@
-"""The town as gymnasium hands it out, in which peers learn and are scored."""
+"""The town as a gymnasium environment, for training and scoring of peers."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def make_towns(comparison: Comparison, count: int, autoreset_mode: AutoresetMode
 
 
 class Examination:
-    """The episodes on which everybody is scored; they are the same at each call."""
+    """The scored episodes, the same for all contestants."""
 
     def __init__(self, comparison: Comparison) -> None:
         self._towns = make_towns(comparison, comparison.episodes, AutoresetMode.NEXT_STEP)
         self._seeds = [comparison.first_seed + episode for episode in range(comparison.episodes)]
         standing = np.zeros((comparison.episodes, 2), np.float32)
-        self.score(lambda _: standing)  # compiles what is not compiled yet, which is nobody's training
+        self.score(lambda _: standing)  # compiles, so that it does not count as training
 
     def score(self, act: Act) -> dict[str, float]:
         """Drive every episode greedily to its end; return what `athrl evaluate` would."""

@@ -1,6 +1,6 @@
 """How threads of torch should wait for each other: `python -m benchmarks.peers.waiting` measures one way.
 
-By default they spin, which suits idle cores. Where somebody else wants a core, such as the environments'
+By default they spin, which suits idle cores. If other threads need a core, such as the environments'
 threads, it is kept from them, and an update may take ten times as long. The peers get the way that is faster
 on this machine as it is.
 """
@@ -28,7 +28,7 @@ def faster_waiting(cores: int) -> dict[str, str]:
 
 
 def _seconds(cores: int, way: dict[str, str]) -> float:
-    """Seconds that the updates take in a process of its own."""
+    """Seconds of the updates in a separate process."""
     environment = {**os.environ, "OMP_NUM_THREADS": str(cores), **way}
     command = [sys.executable, "-m", "benchmarks.peers.waiting"]
     return float(subprocess.check_output(command, cwd=ROOT, env=environment, text=True))

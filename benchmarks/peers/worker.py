@@ -1,4 +1,4 @@
-"""A peer in a process of its own: `python -m benchmarks.peers.worker PEER COMPARISON FILE`."""
+"""A peer in a separate process: `python -m benchmarks.peers.worker PEER COMPARISON FILE`."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ PEERS = {
     "torchrl_ppo": "torchrl_ppo:train",
     "rllib_ppo": "rllib_ppo:train",
 }
-"""Where each is: a function that trains for its time and returns what its settings were."""
+"""Module and function of each, which trains for its time and returns its settings."""
 
 
 def main() -> None:
-    """Train one peer and write what came of it."""
+    """Train one peer and write the result."""
     warnings.simplefilter("ignore")
     import torch
 

@@ -19,7 +19,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from athrl_driving.drivers import RuleBasedDriver
 from athrl_driving.envs import TownEnv
-from athrl_driving.perception import EGO_ABOVE_LOWER_EDGE, LEVEL_HEIGHT, WINDOW_SIDE
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
+from athrl_driving.perception import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE
 from athrl_driving.scenarios import SCENARIOS
 from athrl_spaces import CHANNELS
 from matplotlib.axes import Axes
@@ -116,7 +117,7 @@ def body(x: float, y: float, heading: float, length: float, width: float) -> NDA
 def draw_lanes(env: TownEnv, axes: Axes) -> None:
     """The lanes on the ego's level, with their borders."""
     graph = env.town.graph
-    level = np.abs(graph.elevation - env.vehicle.elevation) <= LEVEL_HEIGHT
+    level = np.abs(graph.elevation - env.vehicle.elevation) <= ROAD_LEVEL_HEIGHT
     borders = []
     for line, width, seen in zip(env.town.lane_polylines(1.0), graph.width, level, strict=True):
         if seen:

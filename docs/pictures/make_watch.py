@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import rerun_cli  # type: ignore[import-untyped]
-from athrl_evaluator.viewer import free_port, proxy_address
+from athrl_evaluator.watching.viewer import free_port, proxy_address
 from PIL import Image
 from rerun.experimental import ViewerClient
 

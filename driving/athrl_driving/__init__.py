@@ -1,7 +1,7 @@
 """Towns, traffic, perception and control as gymnasium environments over highway-env.
 
-Importing the package registers its environments with gymnasium and loads nothing heavier than gymnasium;
-everything else is loaded when its name is first used.
+Importing the package registers its environments with gymnasium and imports nothing heavier than gymnasium;
+everything else is imported when its name is first used.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from athrl_spaces import CASE_STUDIES
 from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
     from athrl_driving.drivers import BlindRouteFollower, Driver, RandomDriver, RuleBasedDriver, make_driver
     from athrl_driving.envs import TownEnv, TownVectorEnv
-    from athrl_driving.highway import accelerate
     from athrl_driving.scene import Scene, VehiclePose, lane_polylines
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "TownEnv",
     "TownVectorEnv",
     "VehiclePose",
-    "accelerate",
     "lane_polylines",
     "make_driver",
 ]
@@ -40,14 +39,13 @@ _MODULE_OF_NAME = {
     "TownEnv": "envs",
     "TownVectorEnv": "envs",
     "VehiclePose": "scene",
-    "accelerate": "highway",
     "lane_polylines": "scene",
     "make_driver": "drivers",
 }
 
 
 def __getattr__(name: str) -> Any:
-    """Load the module of a public name when the name is first used."""
+    """Import the module of a public name when the name is first used."""
     if name not in _MODULE_OF_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f".{_MODULE_OF_NAME[name]}", __name__), name)
@@ -57,15 +55,13 @@ _ARGUMENTS_OF_ID: dict[str, dict[str, str]] = {
     "athrl/Town02-v0": {"map": "town02"},
     "athrl/Town03-v0": {"map": "town03"},
     "athrl/Town04-v0": {"map": "town04"},
-    "athrl/OpenDrive-v0": {"map": ""},  # for the user to name
-    "athrl/Roundabout-v0": {"scenario": "athrl/Roundabout-v0"},
-    "athrl/OncomingTraffic-v0": {"scenario": "athrl/OncomingTraffic-v0"},
-    "athrl/UnprotectedLeft-v0": {"scenario": "athrl/UnprotectedLeft-v0"},
+    "athrl/OpenDrive-v0": {"map": ""},  # named by the user
+    **{scenario: {"scenario": scenario} for scenario in CASE_STUDIES.values()},
 }
 
 
 def _register_environments() -> None:
-    """Register what is not registered yet; a second import, as by `package:id`, is no error."""
+    """Register environments that are not registered yet; a second import, as by `package:id`, is no error."""
     for name, arguments in _ARGUMENTS_OF_ID.items():
         if name not in registry:
             register(

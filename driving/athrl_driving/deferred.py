@@ -1,11 +1,12 @@
-"""Imports highway-env and numba without what nothing that drives in a town ever uses of other libraries.
+"""Imports highway-env and numba, and defers those of their imports that driving in a town never uses.
 
-highway-env imports pandas and matplotlib's plots for tables and plots of its own environments: most of its
-start, one second of a core, and 75 MiB of every process. numba imports scipy's linear algebra with its first
-kernel, to learn whether there is any: a quarter of a second. Each is loaded now when something of it is first
-used. A lazy module of importlib's loads at any look at it, and importing a part of a package is one, so
-packages are kept back in another way. This module has to be imported before others that import highway-env or
-use numba; what somebody imported already stays as it is.
+highway-env imports pandas and matplotlib's plots for the tables and plots of its own environments: most of
+its import time, one second of a core, and 75 MiB of every process. numba imports scipy's linear algebra with
+its first kernel, to find out whether it is installed: a quarter of a second. Here each of them is loaded when
+an attribute of it is first used, and need not be installed until then: images for actors leave pandas and
+matplotlib out. importlib's lazy modules load at any attribute access, and importing a
+submodule of a package is one, so packages are deferred in another way. This module has to be imported before
+others that import highway-env or use numba; modules that are already imported stay as they are.
 """
 
 from __future__ import annotations
@@ -23,16 +24,19 @@ from typing import Any
 
 UNUSED = frozenset({"pandas", "matplotlib.pyplot"})
 PACKAGES = frozenset({"matplotlib", "scipy.linalg"})
-"""Packages of which a part is imported, and the package with it, without being used."""
+"""Packages of which a submodule is imported, and with it the package, without being used."""
+
+NOT_NEEDED = frozenset({"pandas", "matplotlib", "matplotlib.pyplot"})
+"""Modules whose import succeeds where they are not installed."""
 
 
 class _Unloaded(ModuleType):
-    """A package that has its place and is loaded when something of it is used that is not there yet."""
+    """A package in `sys.modules` that is loaded when an attribute is used that it does not have yet."""
 
     def __getattr__(self, name: str) -> Any:
         with _loading:
             if type(self) is _Unloaded:
-                self.__class__ = ModuleType  # type: ignore[assignment]  # as it was
+                self.__class__ = ModuleType  # type: ignore[assignment]  # as before
                 assert self.__spec__ is not None
                 assert self.__spec__.loader is not None
                 self.__spec__.loader.exec_module(self)
@@ -43,32 +47,54 @@ _loading = threading.RLock()
 
 
 class _LaterPackage(Loader):
-    """Puts a package in its place and leaves loading it to the loader that it has."""
+    """Creates a package without executing it; its own loader executes it later."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Leave that to Python."""
+        """Create the module as the package's own loader does."""
         return self._loader.create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
-        """Give the package back its loader, for later."""
+        """Restore the package's own loader, which executes it later."""
         assert module.__spec__ is not None
         module.__loader__ = module.__spec__.loader = self._loader
         module.__class__ = _Unloaded
 
 
+class _Missing(Loader):
+    """Creates a module that is not installed; it says so when an attribute of it is used."""
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """Create a module that holds nothing but its name."""
+        return _NotInstalled(spec.name)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """There is nothing to execute."""
+
+
+class _NotInstalled(ModuleType):
+    """Stands for a module that is not installed, as long as nobody uses it."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # by which the import system looks at every module
+            raise AttributeError(name)
+        raise ModuleNotFoundError(f"{self.__name__}.{name} is used and {self.__name__} is not installed")
+
+
 class _Deferring(MetaPathFinder):
-    """Finds the modules that are loaded when they are first used."""
+    """Finds the modules whose loading is deferred."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the module's spec with a loader that waits; None for all other modules."""
+        """Return the module's spec with a deferring loader; None for all other modules."""
         if fullname not in UNUSED | PACKAGES:
             return None
         spec = PathFinder.find_spec(fullname, path, target)
+        if spec is None and fullname in NOT_NEEDED:
+            return ModuleSpec(fullname, _Missing(), is_package=fullname in PACKAGES)
         if spec is not None and spec.loader is not None:
             spec.loader = _LaterPackage(spec.loader) if fullname in PACKAGES else LazyLoader(spec.loader)
         return spec
@@ -82,6 +108,9 @@ def _deferred() -> Iterator[None]:
         yield
     finally:
         sys.meta_path.remove(finder)
+        for name in NOT_NEEDED:  # whoever else asks for them is told that they are not installed
+            if type(sys.modules.get(name)) is _NotInstalled:  # isinstance would load a deferred module
+                del sys.modules[name]
 
 
 with _deferred():

@@ -1,5 +1,5 @@
-"""The error of the room: what an environment was given cannot be driven."""
+"""The error of this package: an environment cannot be driven with what it was given."""
 
 
 class DrivingError(ValueError):
-    """A setting, a map, a place or a number of vehicles that cannot be; the text is one line for the user."""
+    """An invalid setting, map, place or number of vehicles; the message is one line for the user."""

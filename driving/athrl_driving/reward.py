@@ -1,6 +1,6 @@
 """The task's reward of one tick, term by term.
 
-Weights are the paper's, the terms those of the public gym-carla environment:
+The weights are the paper's; the terms are those of the public gym-carla environment:
 `200 r_collision + v + 10 r_fast + 1 r_out + 5 r_steer + 0.2 r_lateral - 0.1`.
 """
 
@@ -12,7 +12,11 @@ import numpy as np
 from athrl_spaces import REWARD_TERMS
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled
+from athrl_driving.kernels.compilation import compiled
+
+_COLLISION, _SPEED, _FAST, _OUT, _STEER, _LATERAL, _CONSTANT = (
+    REWARD_TERMS.index(term) for term in ("collision", "speed", "fast", "out", "steer", "lateral", "constant")
+)
 
 FAST_SPEED = 8.0
 """Speed along the route above which a tick costs, m/s."""
@@ -39,15 +43,15 @@ def add_reward_terms(
     """Add the weighted terms of one tick to `terms`, float64 [7] as `REWARD_TERMS` names them."""
     speed_along_route = speed * math.cos(heading_error)
     if collision:
-        terms[0] -= 200.0
-    terms[1] += speed_along_route
+        terms[_COLLISION] -= 200.0
+    terms[_SPEED] += speed_along_route
     if speed_along_route > FAST_SPEED:
-        terms[2] -= 10.0
+        terms[_FAST] -= 10.0
     if has_left_lane(lateral_offset):
-        terms[3] -= 1.0
-    terms[4] -= 5.0 * steering * steering
-    terms[5] -= 0.2 * abs(steering) * speed_along_route * speed_along_route
-    terms[6] -= 0.1
+        terms[_OUT] -= 1.0
+    terms[_STEER] -= 5.0 * steering * steering
+    terms[_LATERAL] -= 0.2 * abs(steering) * speed_along_route * speed_along_route
+    terms[_CONSTANT] -= 0.1
 
 
 def tick_reward_terms(
@@ -55,7 +59,7 @@ def tick_reward_terms(
 ) -> dict[str, float]:
     """Weighted terms of one tick; their sum is its reward.
 
-    `speed` is the car's (m/s), `heading_error` its heading less that of the nearest waypoint of the route
+    `speed` is the car's (m/s), `heading_error` its heading minus that of the nearest waypoint of the route
     (rad), `lateral_offset` its distance from the route (m), `steering` the commanded value within +-0.3.
     """
     terms = np.zeros(len(REWARD_TERMS))

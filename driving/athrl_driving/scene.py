@@ -1,4 +1,4 @@
-"""What a viewer or a recording needs to know about a moment of an episode."""
+"""What a viewer or a recording needs to know about one moment of an episode."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from athrl_driving.maps import load_town
 
 @dataclass(frozen=True)
 class VehiclePose:
-    """A vehicle's place, motion and size."""
+    """A vehicle's position, motion and size."""
 
     x: float
     """m"""
@@ -41,8 +41,8 @@ class Scene:
     route: NDArray[np.float64]
     """[12, 2] the next waypoints of the route, m."""
     waypoint: NDArray[np.float64] | None
-    """[2] the planner's waypoint, m, the ego's own place before the first decision; None where the planner
-    decides acceleration and steering."""
+    """[2] the planner's waypoint, m, or the ego's own position before the first decision; None where the
+    planner decides acceleration and steering."""
     target_speed: float
     """m/s; NaN where the planner decides acceleration and steering."""
     steering: float

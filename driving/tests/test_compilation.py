@@ -1,4 +1,4 @@
-"""Machine code is kept where it can be written, and never taken for that of other sources."""
+"""Machine code is cached in a writable folder, and never used for other sources."""
 
 import os
 import subprocess
@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from athrl_driving import compilation
-from athrl_driving.highway.acceleration import accelerate
+from athrl_driving.episode.drive import drive
+from athrl_driving.kernels import compilation
 
 
 def folder() -> str:
@@ -42,15 +42,14 @@ def test_changed_kernels_get_another_folder(tmp_path: Path, monkeypatch: pytest.
     assert folder() != before
 
 
-def test_changed_constants_of_actions_get_another_folder_for_towns_alone(
+def test_changed_constants_of_actions_get_another_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = compilation._fingerprint("town"), compilation._fingerprint("highway")
+    before = compilation.fingerprint("athrl_driving")
     changed = tmp_path / "action_kinds.py"
     changed.write_bytes(compilation._CONSTANTS.read_bytes() + b"MAXIMUM_STEERING = 0.4")
     monkeypatch.setattr(compilation, "_CONSTANTS", changed)
-    assert compilation._fingerprint("town") != before[0]
-    assert compilation._fingerprint("highway") == before[1]
+    assert compilation.fingerprint("athrl_driving") != before
 
 
 _SMALL_KERNEL = """
@@ -59,7 +58,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from athrl_driving import compilation
+from athrl_driving.kernels import compilation
 
 @compilation.compiled
 def small(x):
@@ -93,23 +92,92 @@ def test_of_processes_that_start_together_one_compiles_and_the_others_take_its_c
     assert said == ["compiled", "loaded", "loaded"]
 
 
+_READ_ONLY = """
+import os
+import sys
+from pathlib import Path
+from athrl_driving.kernels import compilation
+
+if sys.argv[1] == "read-only":
+    compilation._is_writable = lambda folder: False
+
+@compilation.compiled
+def small(x):
+    return x + 1
+
+with compilation.compiled_once(small, "what is small", 1):
+    small(1)
+print("compiled" if small.stats.cache_misses else "loaded", flush=True)
+small(1.0)
+if os.fork() == 0:
+    sys.exit()  # removes nothing of its parent's
+os.wait()
+print(len(list(Path(compilation.cache_folder()).rglob("small.small-*.nbc"))))
+"""
+
+
+def test_machine_code_that_can_only_be_read_is_used_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    (tmp_path / "small.py").write_text(_READ_ONLY)
+    places = {name: tmp_path / name for name in ("code", "temporary")}
+    places["temporary"].mkdir()
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(places["code"]), "TMPDIR": str(places["temporary"])}
+
+    def run(how: str) -> tuple[list[str], str]:
+        result = subprocess.run(
+            [sys.executable, "-c", "import small", how],
+            capture_output=True, text=True, timeout=120, env=environment, cwd=tmp_path,
+        )  # fmt: skip
+        assert result.returncode == 0, result.stderr
+        return result.stdout.split(), result.stderr
+
+    assert run("writable")[0] == ["compiled", "2"]  # and announced
+    for data in places["code"].rglob("*.2.nbc"):
+        data.unlink()  # one signature's is missing, and compiled in a folder of the process
+    before = sorted(places["code"].rglob("*"))
+    assert run("read-only") == (["loaded", "2"], "")
+    assert sorted(places["code"].rglob("*")) == before
+    assert not list(places["temporary"].glob("athrl-compiled-*"))
+
+
+def test_code_is_taken_from_places_before_the_one_that_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = Path(folder()).name
+    for place, content in (("chosen", "read"), ("home", "own")):
+        (tmp_path / place / name / "traffic").mkdir(parents=True)
+        for ending in ("nbi", "1.nbc"):
+            (tmp_path / place / name / "traffic" / f"tick.{ending}").write_text(content)
+    for ending in ("nbi", "1.nbc", "2.nbc"):
+        (tmp_path / "chosen" / name / "traffic" / f"flow.{ending}").write_text("read")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(compilation, "_is_writable", lambda place: place == tmp_path / "home" / name)
+    for _ in range(2):  # what is there already is left as it is
+        assert folder() == str(tmp_path / "home" / name)
+    found = {file.name: file.read_text() for file in (tmp_path / "home" / name / "traffic").iterdir()}
+    assert found == {
+        **{f"tick.{ending}": "own" for ending in ("nbi", "1.nbc")},
+        **{f"flow.{ending}": "read" for ending in ("nbi", "1.nbc", "2.nbc")},
+    }
+
+
 def test_the_announcement_names_what_is_compiled_and_how_often(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     def said() -> list[str]:
         caplog.clear()
-        with compilation.compiled_once(accelerate, "some thing", 7):
+        with compilation.compiled_once(drive, "some thing", 7):
             pass
         return caplog.messages
 
     monkeypatch.setattr(compilation, "cache_folder", lambda family: str(tmp_path))
     assert said() == ["compiling some thing: about 7 s, once per installation"]
-    monkeypatch.setattr(compilation, "_lasting_folder", lambda family: None)
+    monkeypatch.setattr(compilation, "_persistent_folder", lambda family: None)
     assert said() == [
         "compiling some thing: about 7 s, at every start, as no folder to keep it in can be written: "
         "set NUMBA_CACHE_DIR to one"
     ]
-    (tmp_path / "acceleration.accelerate-1.py311.1.nbi").touch()
+    (tmp_path / "drive.drive-1.py311.1.nbi").touch()
     assert said() == []
 
 
@@ -125,7 +193,7 @@ def known():
         for kernel in gc.get_objects()
         if isinstance(kernel, Dispatcher)
         for signature in kernel.overloads
-        if kernel.py_func.__module__.startswith("athrl_driving")
+        if kernel.py_func.__module__.startswith("athrl_")
     }
 """
 
@@ -142,8 +210,8 @@ for _ in range(3):
 from athrl_driving.policy import EnvironmentBatch
 batch = EnvironmentBatch(["town03", "town02"], {"vehicles_count": 5}, "waypoint-set", recorded=2)
 before = known()
-for row in range(2):
-    batch.reset(row, seed=row)
+for env_index in range(2):
+    batch.reset(env_index, seed=env_index)
 batch.step([[2, 3], [1, 15]])
 """,
     "town": """
@@ -166,18 +234,6 @@ for _ in range(126):
     infos = envs.step(envs.action_space.sample())[-1]
     assert envs.scene(3)
 envs.close()
-""",
-    "accelerate": """
-envs = [gymnasium.make(name) for name in ("highway-v0", "intersection-v1", "racetrack-v0", "roundabout-v0")]
-athrl_driving.accelerate(envs[0])
-before = known()
-for env in envs:
-    athrl_driving.accelerate(env).reset(seed=0)
-    for _ in range(3):
-        env.step(env.action_space.sample())
-    road = env.unwrapped.road
-    road.neighbour_vehicles(env.unwrapped.vehicle)
-    road.network.get_closest_lane_index(env.unwrapped.vehicle.position, 0.0)
 """,
 }
 

@@ -1,4 +1,4 @@
-"""The controllers do what a textbook says, remember, and steer to the side where the waypoint is."""
+"""The controllers follow the textbook, keep their memory, and steer to the side of the waypoint."""
 
 import math
 
@@ -71,7 +71,7 @@ def test_steering_is_symmetric_in_every_frame(angle: float, heading: float, x: f
     assert command(angle) == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_waypoint_behind_pulls_no_more() -> None:
+def test_a_waypoint_behind_has_no_effect() -> None:
     assert WaypointController().steering(0.0, 0.0, 0.0, (-3.0, 1.0), 0.1) == 0.0
 
 

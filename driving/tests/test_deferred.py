@@ -1,10 +1,16 @@
-"""What nobody who drives in a town uses of highway-env's libraries is not loaded before somebody uses it."""
+"""Libraries of highway-env that driving in a town does not need are not loaded before they are used."""
 
 import subprocess
 import sys
 
 HEAVY = ("pandas.core", "matplotlib.rcsetup", "scipy.linalg.blas")
 TELL = f"print(*(name in sys.modules for name in {HEAVY}))"
+DRIVES = (
+    "import athrl_driving, gymnasium\n"
+    "env = gymnasium.make('athrl/Town03-v0', config={'vehicles_count': 3})\n"
+    "env.reset(seed=0)\n"
+    "env.step(env.action_space.sample())\n"
+)
 
 
 def run(code: str) -> list[str]:
@@ -15,13 +21,7 @@ def run(code: str) -> list[str]:
 
 
 def test_driving_in_a_town_loads_no_tables_plots_or_linear_algebra() -> None:
-    drives = (
-        "import athrl_driving, gymnasium\n"
-        "env = gymnasium.make('athrl/Town03-v0', config={'vehicles_count': 3})\n"
-        "env.reset(seed=0)\n"
-        "env.step(env.action_space.sample())\n"
-    )
-    assert run(drives + TELL) == ["False", "False", "False"]
+    assert run(DRIVES + TELL) == ["False", "False", "False"]
 
 
 def test_driving_a_batch_with_a_policys_runner_loads_no_tables_plots_or_linear_algebra() -> None:
@@ -32,10 +32,10 @@ def test_driving_a_batch_with_a_policys_runner_loads_no_tables_plots_or_linear_a
     assert run(drives + TELL) == ["False", "False", "False"]
 
 
-def test_who_uses_tables_has_them() -> None:
+def test_tables_are_loaded_when_used() -> None:
     looks = (
         "import athrl_driving.maps, gymnasium\n"
-        "observation, _ = gymnasium.make('highway-v0').reset(seed=0)\n"  # made by way of a table
+        "observation, _ = gymnasium.make('highway-v0').reset(seed=0)\n"  # made with a table
         "print(observation.shape)\n"
     )
     assert run(f"{TELL}\n{looks}{TELL}") == [
@@ -45,7 +45,7 @@ def test_who_uses_tables_has_them() -> None:
     ]
 
 
-def test_who_uses_plots_has_them() -> None:
+def test_plots_are_loaded_when_used() -> None:
     plots = (
         "import athrl_driving.maps, matplotlib\n"
         "matplotlib.use('agg')\n"
@@ -55,7 +55,7 @@ def test_who_uses_plots_has_them() -> None:
     assert run(f"{plots}{TELL}") == ["1", "True", "True", "False", "True", "False"]
 
 
-def test_what_somebody_has_loaded_stays_as_it_is() -> None:
+def test_modules_that_are_loaded_already_stay_as_they_are() -> None:
     assert run(f"import pandas, athrl_driving.maps\nprint(pandas.DataFrame([1]).size)\n{TELL}") == [
         "1",
         "True",
@@ -64,7 +64,27 @@ def test_what_somebody_has_loaded_stays_as_it_is() -> None:
     ]
 
 
-def test_who_uses_linear_algebra_has_it() -> None:
+def test_driving_needs_no_tables_and_plots_installed() -> None:
+    """Images leave them out. Others that ask for them are told so, and so is whoever uses them after all."""
+    without = (
+        "from importlib.machinery import PathFinder\n"
+        "find = PathFinder.find_spec\n"
+        "missing = lambda name: name.partition('.')[0] in ('pandas', 'matplotlib')\n"
+        "PathFinder.find_spec = lambda name, *more: None if missing(name) else find(name, *more)\n"
+    )
+    asks = (
+        "for use in ('import pandas', 'import matplotlib', 'gymnasium.make(\"highway-v0\").reset()'):\n"
+        "    try: exec(use)\n"
+        "    except ModuleNotFoundError as error: print(error.args[0].replace(' ', '-'))\n"
+    )
+    assert run(f"{without}{DRIVES}{asks}") == [
+        "No-module-named-'pandas'",
+        "No-module-named-'matplotlib'",
+        "pandas.DataFrame-is-used-and-pandas-is-not-installed",
+    ]
+
+
+def test_linear_algebra_is_loaded_when_used() -> None:
     uses = (
         "import athrl_driving, gymnasium, numba, numpy\n"
         "gymnasium.make('athrl/Town03-v0', config={'vehicles_count': 3}).reset(seed=0)\n"

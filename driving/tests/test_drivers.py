@@ -1,4 +1,4 @@
-"""Each driver does what it promises, through the same actions as a policy."""
+"""Each driver does what it is meant to do, through the same actions as a policy."""
 
 import gymnasium
 import numpy as np
@@ -71,31 +71,31 @@ def test_rule_based_driver_gets_through_traffic(town: str) -> None:
 
 
 def change_ahead(env: TownEnv, seed: int) -> tuple[int, int, float]:
-    """Reset and plan a change to the right right away; the lane, the one beside, the ego's m along it."""
+    """Reset and plan an immediate change to the right; the lane, the adjacent one, the ego's m along it."""
     graph = env.town.graph
-    row = int(np.flatnonzero((graph.right >= 0) & (graph.length > 90.0) & (graph.curvature == 0.0))[0])
-    beside = int(graph.right[row])
+    lane = int(np.flatnonzero((graph.right >= 0) & (graph.length > 90.0) & (graph.curvature == 0.0))[0])
+    beside = int(graph.right[lane])
     env.reset(seed=seed)
     state, start = env.episodes.state, 15.0
-    plan = np.array([row, beside])
-    start_routes(graph, state.routes, 0, row, start, np.uint64(seed), plan, float(graph.length[row]) - 1.0)
-    x, y, heading = lane_pose(graph, row, start)
+    plan = np.array([lane, beside])
+    start_routes(graph, state.routes, 0, lane, start, np.uint64(seed), plan, float(graph.length[lane]) - 1.0)
+    x, y, heading = lane_pose(graph, lane, start)
     state.progress.ego[0, :4] = x, y, heading, 0.0
     state.progress.path[0] = -1
     ahead = env.route.lanes_ahead
     state.progress.path[0, : ahead.size] = ahead
-    return row, beside, start
+    return lane, beside, start
 
 
-def put_vehicle(env: TownEnv, row: int, s: float) -> None:
-    """Let vehicle 0 stand broken down on a row."""
+def put_vehicle(env: TownEnv, lane: int, s: float) -> None:
+    """Place vehicle 0, broken down, on a lane."""
     car, graph = env.road.background, env.town.graph
-    car.x[0], car.y[0], car.heading[0] = lane_pose(graph, row, s)
-    car.lane[0], car.s[0], car.speed[0], car.crashed[0] = row, s, 0.0, True
-    car.path[0, 0] = env.road.traffic.rails.link[row]
+    car.x[0], car.y[0], car.heading[0] = lane_pose(graph, lane, s)
+    car.lane[0], car.s[0], car.speed[0], car.crashed[0] = lane, s, 0.0, True
+    car.path[0, 0] = env.road.traffic.lane_links.link[lane]
 
 
-def test_rule_based_driver_does_not_change_to_where_somebody_is() -> None:
+def test_rule_based_driver_does_not_change_into_an_occupied_lane() -> None:
     env = TownEnv(config={"town": "town03", "vehicles_count": 1, "episode_ticks": 10_000})
     _, beside, start = change_ahead(env, 3)
     put_vehicle(env, beside, start + 6.0)

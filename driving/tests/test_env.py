@@ -1,4 +1,4 @@
-"""The environment keeps gymnasium's rules and the task's: decisions, endings, sums, seeds."""
+"""The environment follows the rules of gymnasium and of the task: decisions, endings, sums, seeds."""
 
 import copy
 import hashlib
@@ -91,7 +91,7 @@ def test_a_decision_holds_for_four_ticks_and_is_counted_once() -> None:
         ("left", "the action is 'left', it should be float32"),
     ],
 )
-def test_an_action_that_is_none_is_refused_before_anything_moves(action: object, message: str) -> None:
+def test_an_invalid_action_is_refused_before_anything_moves(action: object, message: str) -> None:
     env, untouched = new_env(), new_env()
     env.reset(seed=3)
     untouched.reset(seed=3)
@@ -119,7 +119,7 @@ def test_rewards_of_the_ticks_are_summed() -> None:
     by_decision.reset(seed=3)
     by_tick.reset(seed=3)
     _, reward, _, _, info = by_decision.step(STRAIGHT_SLOWLY)
-    # One decision a tick would place the waypoint anew; hand the ego the one that held for all four.
+    # One decision per tick would set a new waypoint; give the ego the one that held for all four.
     waypoint, total = by_decision.vehicle.waypoint, dict.fromkeys(REWARD_TERMS, 0.0)
     by_tick.vehicle.follow(by_decision.vehicle.target_speed, waypoint)
     for _ in range(4):
@@ -229,7 +229,7 @@ def test_distance_is_what_was_driven() -> None:
 
 
 def fingerprint() -> str:
-    """Hash of everything that two episodes showed."""
+    """Hash of all results of two episodes."""
     env, rng, digest = TownEnv(), np.random.default_rng(0), hashlib.sha256()
     for seed in (5, 6):
         env.reset(seed=seed)
@@ -262,7 +262,7 @@ def test_seeds_differ_and_the_route_does_not_depend_on_the_traffic() -> None:
     assert len(set(lanes)) > 3
 
 
-def test_a_copy_goes_its_own_way_and_the_original_does_not_notice() -> None:
+def test_a_copy_is_independent_of_the_original() -> None:
     env, expected = new_env(), new_env()
     for each in (env, expected):
         each.reset(seed=12)
@@ -286,7 +286,7 @@ def test_spaces_and_their_seeds_last_over_resets() -> None:
     assert env.observation_space["image"].shape == (64, 64, 4)
 
 
-def test_scene_shows_everybody() -> None:
+def test_scene_shows_all_vehicles() -> None:
     env = new_env(vehicles_count=30)
     env.reset(seed=13)
     env.step(STRAIGHT_SLOWLY)
@@ -350,7 +350,7 @@ def test_a_setting_given_as_an_argument_is_told_where_it_belongs(make: Callable[
 
 
 class NoValue:
-    """What no setting can be."""
+    """A value that no setting accepts."""
 
 
 @pytest.mark.parametrize("key", sorted(TownEnv.default_config()))
@@ -367,7 +367,7 @@ def test_the_settings_of_an_environment_make_another_one_like_it() -> None:
     assert TownEnv(config={"vehicles_count": np.int64(3)}).config["vehicles_count"] == 3
 
 
-def test_a_town_that_there_is_not_leaves_the_environment_as_it_was() -> None:
+def test_an_unknown_town_leaves_the_environment_as_it_was() -> None:
     env = new_env()
     env.reset(seed=1)
     with pytest.raises(ValueError, match="atlantis"):

@@ -150,7 +150,7 @@ def test_choices_are_whole_numbers_of_any_type(kind: type) -> None:
     assert env.vehicle.target_speed == pytest.approx(7.95)
     vector.reset(seed=1)
     vector.step(np.array([[2, 15], [0, 0]], kind))
-    assert vector.row(0).vehicle.target_speed == pytest.approx(7.95)
+    assert vector.environment(0).vehicle.target_speed == pytest.approx(7.95)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_choices_are_whole_numbers_of_any_type(kind: type) -> None:
         ([[1], [2, 3]], "it should be whole numbers"),
     ],
 )
-def test_a_choice_that_there_is_not_is_refused_before_anything_moves(action: object, message: str) -> None:
+def test_an_unknown_choice_is_refused_before_anything_moves(action: object, message: str) -> None:
     env = new_env("WaypointSetAction")
     with pytest.raises(ValueError, match=message) as error:
         env.step(action)
@@ -183,7 +183,7 @@ def test_a_choice_that_there_is_not_is_refused_before_anything_moves(action: obj
 
 
 @pytest.mark.parametrize("action", [[np.nan, 0.0], [0.0, -np.inf], [0.0], ["1", "0"], [1j, 0.0]])
-def test_commands_that_are_none_are_refused_before_anything_moves(action: object) -> None:
+def test_invalid_commands_are_refused_before_anything_moves(action: object) -> None:
     env = new_env("DirectAction")
     with pytest.raises(ValueError, match="the action") as error:
         env.step(action)
@@ -191,7 +191,7 @@ def test_commands_that_are_none_are_refused_before_anything_moves(action: object
     assert env.time == 0
 
 
-def test_a_vector_names_the_environments_whose_choice_there_is_not() -> None:
+def test_a_vector_names_the_environments_with_unknown_choices() -> None:
     vector = TownVectorEnv(3, config={**QUIET, "action": {"type": "WaypointSetAction"}})
     vector.reset(seed=1)
     with pytest.raises(ValueError, match=r"of environments \[1, 2\] is \[0.0, 16.0\]"):
@@ -211,7 +211,7 @@ def test_a_vector_names_the_environments_whose_choice_there_is_not() -> None:
     ],
 )
 @pytest.mark.parametrize("make", [TownEnv, lambda config: TownVectorEnv(2, config=config)])
-def test_an_unknown_action_is_told_with_the_nearest_name(make: object, action: object, message: str) -> None:
+def test_an_unknown_action_is_refused_with_its_nearest(make: object, action: object, message: str) -> None:
     with pytest.raises(ValueError, match=r".+") as error:
         make(config={"action": action})
     assert message in str(error.value)

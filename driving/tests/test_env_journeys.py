@@ -1,4 +1,4 @@
-"""Where episodes start and lead: drawn, or places on the map; and the case studies that are made of them."""
+"""Starts and destinations of episodes, random or on the map, and the case studies made of them."""
 
 import gymnasium
 import numpy as np
@@ -25,17 +25,17 @@ def drive_to_the_end(env: gymnasium.Env, seed: int) -> tuple[bool, bool, dict]:
 def test_an_episode_starts_and_ends_where_it_is_told() -> None:
     config = {"start": START, "destination": DESTINATION, "vehicles_count": 0}
     env = TownEnv(config=config)
-    row, s = place_on_map(env.town, START)
+    lane, s = place_on_map(env.town, START)
     env.reset(seed=1)
-    np.testing.assert_allclose(env.vehicle.position, lane_pose(env.town.graph, row, s)[:2])
+    np.testing.assert_allclose(env.vehicle.position, lane_pose(env.town.graph, lane, s)[:2])
     terminated, truncated, info = drive_to_the_end(env, 1)
     assert terminated
     assert not truncated
     assert not info["collision"]
     assert not info["off_lane"]
     assert info["metrics"]["success"] == info["metrics"]["route_completion"] == 1.0
-    row, s = place_on_map(env.town, DESTINATION)
-    there = np.array(lane_pose(env.town.graph, row, s)[:2])
+    lane, s = place_on_map(env.town, DESTINATION)
+    there = np.array(lane_pose(env.town.graph, lane, s)[:2])
     assert np.linalg.norm(env.vehicle.position - there) < 2.0
 
 
@@ -58,7 +58,7 @@ def test_case_studies_start_at_their_place_with_other_traffic_each_time(name: st
     vector = gymnasium.make_vec(name, num_envs=2)
     assert isinstance(vector, TownVectorEnv)
     vector.reset(seed=0)
-    one, other = vector.row(0), vector.row(1)
+    one, other = vector.environment(0), vector.environment(1)
     np.testing.assert_array_equal(one.vehicle.position, other.vehicle.position)
     assert not np.array_equal(one.road.background.x, other.road.background.x)
     x, y, radius = SCENARIOS[name]["traffic_near"]
@@ -91,10 +91,10 @@ def test_what_does_not_fit_the_map_is_refused_in_one_line(config: dict, message:
     assert "\n" not in str(error.value)
 
 
-def test_every_row_of_a_map_is_a_place_on_it() -> None:
+def test_every_lane_of_a_map_is_a_place_on_it() -> None:
     town = load_town("town03")
-    for row in np.flatnonzero(town.graph.junction < 0)[::25].tolist():
-        found, s = place_on_map(town, (town.road_name[row], int(town.lane_id[row]), 1.0))
-        assert town.road_name[found] == town.road_name[row]
-        assert town.lane_id[found] == town.lane_id[row]
+    for lane in np.flatnonzero(town.graph.junction < 0)[::25].tolist():
+        found, s = place_on_map(town, (town.road_name[lane], int(town.lane_id[lane]), 1.0))
+        assert town.road_name[found] == town.road_name[lane]
+        assert town.lane_id[found] == town.lane_id[lane]
         assert 0.0 <= s <= town.graph.length[found]

@@ -1,7 +1,9 @@
-"""`render`: highway-env's viewer with the town's junctions, levels, route and waypoints in it."""
+"""`render`: highway-env's viewer with the town's junctions, levels, route and waypoints."""
 
 import subprocess
 import sys
+from pathlib import Path
+from types import ModuleType
 
 import gymnasium
 import numpy as np
@@ -13,13 +15,8 @@ BUILT = (
 )
 
 
-@pytest.fixture(autouse=True)
-def _no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
 def driven(environment: str = "athrl/Town03-v0", decisions: int = 5, **config: object) -> TownEnv:
-    """An environment that can be rendered, some decisions into its episode."""
+    """An environment that can be rendered, after some decisions."""
     env = gymnasium.make(environment, render_mode="rgb_array", config=config).unwrapped
     env.reset(seed=3)
     driver = make_driver("rule-based")
@@ -50,7 +47,7 @@ def test_ways_through_junctions_are_drawn_as_road_and_what_is_no_road_is_not() -
     env.vehicle.position = lines[ways[0]][0] + np.array([30.0, 30.0])  # beside a junction
     frame = env.render()
     ego = env.vehicle.position
-    points = np.concatenate([lines[row] for row in ways])
+    points = np.concatenate([lines[lane] for lane in ways])
     roads = {colour_at(env, frame, *place) for place in points[np.abs(points - ego).max(axis=1) < 49]}
     grid = ego + np.stack(np.meshgrid(*[np.arange(-45.0, 46.0, 5.0)] * 2), axis=-1).reshape(-1, 2)
     distance = np.hypot(*(grid[:, None] - np.concatenate(lines)[None]).transpose(2, 0, 1)).min(axis=1)
@@ -104,7 +101,7 @@ def test_pictures_of_any_scale_have_the_size_that_the_settings_say(scaling: floa
     env.close()
 
 
-def test_trajectories_show_where_everybody_was_and_not_those_of_the_last_episode() -> None:
+def test_trajectories_show_past_positions_of_this_episode_only() -> None:
     from athrl_driving.envs.viewer import TRAIL
 
     def dots(frame: np.ndarray) -> int:
@@ -134,6 +131,60 @@ def test_a_vector_renders_what_gymnasiums_own_vector_of_single_environments_does
     assert (frames[0][0] != frames[0][1]).any()
 
 
+@pytest.mark.parametrize("config", [{}, {"simulation_frequency": 20}, {"ticks_per_decision": 2}])
+def test_a_picture_a_decision_is_real_time_alone_and_in_vectors(config: dict) -> None:
+    alone = gymnasium.make("athrl/Town02-v0", config={**config, "vehicles_count": 0})
+    vectors = [
+        gymnasium.make_vec("athrl/Town02-v0", 2, mode, config={**config, "vehicles_count": 0})
+        for mode in ("sync", "vector_entry_point")
+    ]
+    other = TownEnv({"simulation_frequency": 5, "vehicles_count": 0})  # has no effect on those before
+    assert other.metadata["render_fps"] == 1.25
+    decisions_a_second = config.get("simulation_frequency", 10) / config.get("ticks_per_decision", 4)
+    assert {env.metadata["render_fps"] for env in (alone, *vectors)} == {decisions_a_second}
+
+
+@pytest.fixture
+def videos(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, float]]:
+    """Pictures and pictures a second of each video that gymnasium's wrapper hands over to moviepy."""
+    written: list[tuple[int, float]] = []
+
+    class Clip:
+        def __init__(self, frames: list[np.ndarray], fps: float) -> None:
+            written.append((len(frames), fps))
+
+        def write_videofile(self, *_: object, **__: object) -> None:
+            pass
+
+    module = ModuleType("moviepy.video.io.ImageSequenceClip")
+    module.ImageSequenceClip = Clip
+    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    return written
+
+
+@pytest.mark.parametrize("every_tick", [False, True])
+def test_videos_of_some_episodes_last_as_long_as_these(
+    every_tick: bool, tmp_path: Path, videos: list[tuple[int, float]]
+) -> None:
+    env = gymnasium.make("athrl/Town02-v0", render_mode="rgb_array", config={"vehicles_count": 0})
+    env = gymnasium.wrappers.RecordVideo(
+        env, str(tmp_path / "videos"), episode_trigger=lambda episode: episode != 1
+    )
+    if every_tick:
+        env.unwrapped.set_record_video_wrapper(env)
+    for episode in range(4):
+        env.reset(seed=episode)
+        for _ in range(3):
+            env.step(np.array([1.0, 0.0], np.float32))
+    env.close()
+    assert len(videos) == 3
+    for pictures, pictures_a_second in videos:
+        assert (pictures - 1) / pictures_a_second == pytest.approx(3 * 0.4)
+    assert (videos[0][1] == 10.0) == every_tick
+
+
 def test_an_unknown_way_to_render_is_refused_in_one_line() -> None:
     with pytest.raises(ValueError, match=r"^render_mode is 'ansi', it should be None, 'human' or.*$"):
         TownEnv(render_mode="ansi")
@@ -145,7 +196,7 @@ def test_a_vector_has_no_window_of_its_own() -> None:
     assert TownVectorEnv(2).render() is None
 
 
-def test_who_renders_nothing_loads_nothing_that_draws() -> None:
+def test_without_rendering_no_drawing_code_is_loaded() -> None:
     probe = f"import sys; {BUILT}; print('athrl_driving.envs.viewer' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=300)
     assert result.stdout.strip() == "False", result.stderr

@@ -1,4 +1,7 @@
-"""A vector of towns is so many single towns: the same numbers, whatever their company and their threads."""
+"""A vector of towns equals single towns: the same numbers for any other environments and threads."""
+
+import subprocess
+import sys
 
 import athrl_driving  # noqa: F401  (registers the environments)
 import gymnasium
@@ -65,28 +68,28 @@ def test_it_does_what_gymnasiums_own_vector_of_single_environments_does(mode: Au
     seed=st.integers(0, 2**31),
     count=st.integers(1, 12),
     threads=st.integers(1, 3),
-    row=st.integers(0, 11),
+    env_index=st.integers(0, 11),
     actions=st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=1, max_size=8),
 )
-def test_an_environment_does_not_feel_its_company(
-    seed: int, count: int, threads: int, row: int, actions: list[tuple[float, float]]
+def test_an_environment_does_not_depend_on_the_others(
+    seed: int, count: int, threads: int, env_index: int, actions: list[tuple[float, float]]
 ) -> None:
-    row %= count
+    env_index %= count
     vector, alone = new_vector(count, threads=threads), TownEnv(config=CONFIG)
     observations, _ = vector.reset(seed=seed)
-    observation, _ = alone.reset(seed=seed + row)
+    observation, _ = alone.reset(seed=seed + env_index)
     others = random_actions(seed, len(actions), count)
     for action, others_actions in zip(actions, others, strict=True):
         for name, expected in observation.items():
-            np.testing.assert_array_equal(observations[name][row], expected)
-        others_actions[row] = action
+            np.testing.assert_array_equal(observations[name][env_index], expected)
+        others_actions[env_index] = action
         observations, rewards, terminated, truncated, infos = vector.step(others_actions)
-        observation, *expected, info = alone.step(others_actions[row])
-        assert [rewards[row], terminated[row], truncated[row]] == expected
-        assert infos["distance"][row] == info["distance"]
-        traffic, background = vector.row(row).road.background, alone.road.background
+        observation, *expected, info = alone.step(others_actions[env_index])
+        assert [rewards[env_index], terminated[env_index], truncated[env_index]] == expected
+        assert infos["distance"][env_index] == info["distance"]
+        traffic, background = vector.environment(env_index).road.background, alone.road.background
         np.testing.assert_array_equal(traffic.x, background.x)
-        if terminated[row] or truncated[row]:
+        if terminated[env_index] or truncated[env_index]:
             break
     vector.close()
 
@@ -95,7 +98,7 @@ def test_an_environment_does_not_feel_its_company(
 def test_threads_are_a_bound_and_each_has_four_environments_at_least(threads: int, work: int) -> None:
     vector = new_vector(14, threads=threads)
     assert vector.threads == work
-    sizes = [end - begin for begin, end in vector.episodes.chunks]
+    sizes = [end - begin for begin, end in vector.episodes.slice_bounds]
     assert len(sizes) == work
     assert sum(sizes) == 14
     assert min(sizes) >= 4
@@ -109,6 +112,40 @@ def test_without_a_number_there_is_a_thread_for_each_core_of_the_process(
     vector = new_vector(64)
     assert vector.threads == 3
     vector.close()
+
+
+_FORK = """
+import os, signal, threading
+import numpy as np
+from athrl_driving.envs import TownVectorEnv
+
+def report():
+    rewards = vector.step(np.zeros((8, 2), np.float32))[1]
+    print(rewards.tolist(), sum("athrl-drive" in each.name for each in threading.enumerate()), flush=True)
+
+vector = TownVectorEnv(8, config={"vehicles_count": 5}, threads=2)
+vector.reset(seed=1)
+vector.step(np.zeros((8, 2), np.float32))
+child = os.fork()
+if child == 0:
+    signal.alarm(60)
+    report()
+    vector.close()
+    os._exit(0)
+assert os.waitpid(child, 0)[1] == 0
+report()
+vector.close()
+"""
+
+
+def test_a_forked_process_goes_on_with_threads_of_its_own() -> None:
+    result = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", _FORK], capture_output=True, text=True, timeout=300
+    )
+    assert result.returncode == 0, result.stderr
+    child, parent = result.stdout.splitlines()
+    assert child == parent
+    assert child.endswith("] 1")
 
 
 def test_make_vec_makes_it() -> None:
@@ -139,11 +176,11 @@ def test_results_are_the_callers_own() -> None:
     np.testing.assert_array_equal(rewards, kept_rewards)
 
 
-def test_rows_can_be_stepped_by_themselves() -> None:
+def test_environments_can_be_stepped_by_themselves() -> None:
     vector = new_vector(autoreset_mode=AutoresetMode.DISABLED)
     vector.reset(seed=2)
     before = vector.scene(1)
-    rewards, *_, infos = vector.step_rows(np.ones((COUNT, 2), np.float32), np.arange(COUNT) != 1)
+    rewards, *_, infos = vector.step_environments(np.ones((COUNT, 2), np.float32), np.arange(COUNT) != 1)
     assert vector.scene(1).ego == before.ego
     assert vector.scene(1).step == 0
     assert vector.scene(2).step == 1
@@ -152,18 +189,18 @@ def test_rows_can_be_stepped_by_themselves() -> None:
     assert infos["ticks"].tolist() == [4, 0, 4, 4, 4]
 
 
-def test_a_row_is_seen_as_a_single_environment() -> None:
+def test_an_environment_is_seen_as_a_single_one() -> None:
     vector, alone = new_vector(), TownEnv(config=CONFIG)
     vector.reset(seed=7)
     alone.reset(seed=9)
-    row = vector.row(2)
-    np.testing.assert_array_equal(row.vehicle.position, alone.vehicle.position)
-    np.testing.assert_array_equal(row.route.waypoints(), alone.route.waypoints())
-    assert row.road.leader_of_ego() == alone.road.leader_of_ego()
-    assert row.scene().ego == alone.scene().ego
-    assert row.unwrapped is row
-    assert row.town is alone.town
-    assert row.action_type.maximum_speed == alone.action_type.maximum_speed
+    view = vector.environment(2)
+    np.testing.assert_array_equal(view.vehicle.position, alone.vehicle.position)
+    np.testing.assert_array_equal(view.route.waypoints(), alone.route.waypoints())
+    assert view.road.leader_of_ego() == alone.road.leader_of_ego()
+    assert view.scene().ego == alone.scene().ego
+    assert view.unwrapped is view
+    assert view.town is alone.town
+    assert view.action_type.maximum_speed == alone.action_type.maximum_speed
 
 
 def test_an_ended_episode_waits_for_its_reset() -> None:

@@ -1,4 +1,4 @@
-"""Environments that raise or stall are replaced, and what their calls do later reaches nobody."""
+"""Environments that raise or stall are replaced, and late results of their calls are discarded."""
 
 import threading
 
@@ -25,8 +25,8 @@ def batch():
 
 
 def begin(batch: EnvironmentBatch | GuardedBatch) -> None:
-    for row in range(2):
-        batch.reset(row, seed=row)
+    for env_index in range(2):
+        batch.reset(env_index, seed=env_index)
 
 
 def test_guarded_environments_do_what_unguarded_ones_do(batch: GuardedBatch):
@@ -41,7 +41,7 @@ def test_guarded_environments_do_what_unguarded_ones_do(batch: GuardedBatch):
     plain.close()
 
 
-def test_step_that_raises_makes_all_environments_anew(batch: GuardedBatch, monkeypatch):
+def test_step_that_raises_replaces_all_environments(batch: GuardedBatch, monkeypatch):
     broken = batch.environments[0]
 
     def fail(self, actions, active=None):
@@ -51,21 +51,21 @@ def test_step_that_raises_makes_all_environments_anew(batch: GuardedBatch, monke
         patch.setattr(EnvironmentBatch, "step", fail)
         with pytest.raises(EnvironmentRaised, match=r"step raised ZeroDivisionError: no lane$") as failure:
             batch.step(STRAIGHT_ON)
-    assert failure.value.rows == [0, 1]
+    assert failure.value.env_indices == [0, 1]
     assert batch.environments[0] is not broken
     begin(batch)
     assert np.isfinite(batch.step(STRAIGHT_ON).rewards).all()
 
 
 def test_reset_that_raises_costs_one_environment_only(batch: GuardedBatch, monkeypatch):
-    def fail(self, row, seed):
+    def fail(self, env_index, seed):
         raise ValueError("no room")
 
     with monkeypatch.context() as patch:
         patch.setattr(EnvironmentBatch, "reset", fail)
         with pytest.raises(EnvironmentRaised, match="reset of environment 1 raised ValueError") as failure:
             batch.reset(1, seed=5)
-    assert failure.value.rows == [1]
+    assert failure.value.env_indices == [1]
     assert np.isfinite(batch.step(STRAIGHT_ON).rewards).all()
 
 
@@ -78,16 +78,16 @@ def test_own_timeout_of_an_environment_is_no_stall(batch: GuardedBatch, monkeypa
         batch.step(STRAIGHT_ON)
 
 
-def test_step_that_stalls_is_left_behind_and_changes_nothing_when_it_returns(monkeypatch):
-    monkeypatch.setattr(guard, "GLANCE_SECONDS", 0.05)
+def test_step_that_stalls_is_abandoned_and_changes_nothing_when_it_returns(monkeypatch):
+    monkeypatch.setattr(guard, "POLL_SECONDS", 0.05)
     batch = GuardedBatch(["town03"] * 2, CONFIG, seconds=30)
     begin(batch)
     batch.step(STRAIGHT_ON)
-    go_on, returned = threading.Event(), threading.Event()
+    resume, returned = threading.Event(), threading.Event()
     step = EnvironmentBatch.step
 
     def stall(self, actions, active=None):
-        assert go_on.wait(60)
+        assert resume.wait(60)
         outcome = step(self, actions, active)
         returned.set()
         return outcome
@@ -98,10 +98,10 @@ def test_step_that_stalls_is_left_behind_and_changes_nothing_when_it_returns(mon
         with pytest.raises(EnvironmentStalled, match=r"step did not return within 0\.2 s") as failure:
             batch.step(STRAIGHT_ON)
         batch._seconds = 30
-    assert failure.value.rows == [0, 1]
+    assert failure.value.env_indices == [0, 1]
     begin(batch)
     seen = batch.images.copy()
-    go_on.set()
+    resume.set()
     assert returned.wait(60)
     np.testing.assert_array_equal(batch.images, seen)
     assert np.isfinite(batch.step(STRAIGHT_ON).rewards).all()
@@ -109,8 +109,8 @@ def test_step_that_stalls_is_left_behind_and_changes_nothing_when_it_returns(mon
 
 
 def test_first_call_may_take_as_long_as_compilation_does(monkeypatch):
-    """Whatever the deadline is: it is for what has been compiled."""
-    monkeypatch.setattr(guard, "GLANCE_SECONDS", 0.01)
+    """The deadline only holds for calls that have been compiled."""
+    monkeypatch.setattr(guard, "POLL_SECONDS", 0.01)
     step = EnvironmentBatch.step
 
     def compile_first(self, actions, active=None):

@@ -33,7 +33,7 @@ def test_almost_nothing_is_left_out(load_any: Callable[[str], Town], name: str, 
     assert driven / 1000.0 == pytest.approx(town.lane_kilometres, rel=0.01)
 
 
-def drivers_near(town: Town, x: float, y: float, reach: float) -> np.ndarray:
+def lanes_near(town: Town, x: float, y: float, reach: float) -> np.ndarray:
     centre = 0.5 * (town.graph.box[:, :2] + town.graph.box[:, 2:])
     return np.flatnonzero(np.hypot(centre[:, 0] - x, centre[:, 1] - y) < reach)
 
@@ -44,23 +44,23 @@ def test_the_roundabout_of_town03_turns_left_and_its_entries_yield(load_any: Cal
     (ring,) = (number for number, junction in enumerate(town.junctions) if junction.kind == "roundabout")
     own = np.array([graph.junction[movements.lane[start]] == ring for start in movements.lane_start[:-1]])
     assert movements.yields[own].sum() >= 4
-    near = drivers_near(town, 0.0, 0.5, 25.0)
-    rows = near[(graph.movement[near] >= 0) & (np.abs(graph.curvature[near]) > 1.0 / 24.0)]
-    assert (graph.curvature[rows] < 0.0).mean() > 0.6
+    near = lanes_near(town, 0.0, 0.5, 25.0)
+    lanes = near[(graph.movement[near] >= 0) & (np.abs(graph.curvature[near]) > 1.0 / 24.0)]
+    assert (graph.curvature[lanes] < 0.0).mean() > 0.6
 
 
 def test_the_overpass_of_town04_is_no_crossing(load_any: Callable[[str], Town]) -> None:
     """Near (5, 20) one road passes above another; no movement of one is in the way of the other's."""
     town = load_any("Town04.xodr")
     graph, movements = town.graph, town.movements
-    near = drivers_near(town, 5.0, 20.0, 60.0)
+    near = lanes_near(town, 5.0, 20.0, 60.0)
     heights = graph.elevation[near]
     assert heights.max() - heights.min() > 5.0
     first = np.repeat(np.arange(len(movements.length)), np.diff(movements.conflict_start))
     for a, b in zip(first.tolist(), movements.conflict.tolist(), strict=True):
-        rows_a = movements.lane[movements.lane_start[a] : movements.lane_start[a + 1]]
-        rows_b = movements.lane[movements.lane_start[b] : movements.lane_start[b + 1]]
-        apart = np.abs(graph.elevation[rows_a][:, None] - graph.elevation[rows_b][None])
+        lanes_a = movements.lane[movements.lane_start[a] : movements.lane_start[a + 1]]
+        lanes_b = movements.lane[movements.lane_start[b] : movements.lane_start[b + 1]]
+        apart = np.abs(graph.elevation[lanes_a][:, None] - graph.elevation[lanes_b][None])
         assert apart.min() < 3.0
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from athrl_driving.maps.opendrive import read_opendrive
+from athrl_driving.maps.opendrive.carriageways import LaneSegment
 from athrl_driving.maps.opendrive.model import Geometry
 from athrl_driving.maps.opendrive.reference_line import geometry_poses
-from athrl_driving.maps.opendrive.roadway import lay_roadway
-from athrl_driving.maps.opendrive.strips import LanePiece
+from athrl_driving.maps.opendrive.roadway import build_roadway
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -133,12 +133,12 @@ def polynomial(values: tuple[float, ...], s: np.ndarray) -> np.ndarray:
     return np.asarray(sum(value * s**power for power, value in enumerate(values)))
 
 
-def chained(pieces: list[LanePiece], spacing: float) -> np.ndarray:
+def chained(segments: list[LaneSegment], spacing: float) -> np.ndarray:
     return np.array(
         [
-            piece.at(float(s))[:2]
-            for piece in pieces
-            for s in np.linspace(0.0, piece.length, 2 + int(piece.length / spacing))
+            segment.at(float(s))[:2]
+            for segment in segments
+            for s in np.linspace(0.0, segment.length, 2 + int(segment.length / spacing))
         ]
     )
 
@@ -167,7 +167,7 @@ def test_lanes_are_within_a_centimetre_of_their_definition(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "road.xodr"
         path.write_text(road_file(geometry, rule, offset, width))
-        roadway = lay_roadway(read_opendrive(path))
+        roadway = build_roadway(read_opendrive(path))
     s, points = defined(geometry)
     direction = np.gradient(points, axis=0)
     direction /= np.linalg.norm(direction, axis=1)[:, None]
@@ -175,17 +175,22 @@ def test_lanes_are_within_a_centimetre_of_their_definition(
     for lane in (2, 1, -1, -2):
         t = polynomial(offset, s) + math.copysign(abs(lane) - 0.5, lane) * polynomial(width, s)
         true = (points + t[:, None] * normal)[:: STEPS // 4000] * (1.0, -1.0)
-        pieces = [piece for strip in roadway.strips for piece in strip.lanes if piece.lane.id == lane]
+        segments = [
+            segment
+            for carriageway in roadway.carriageways
+            for segment in carriageway.lanes
+            if segment.lane.id == lane
+        ]
         forward = (lane > 0) == (rule == "LHT")
         if not forward:
             true = true[::-1]
-        rows = chained(pieces, 0.7)
-        assert distance_to_line(rows, true).max() < 0.01
-        assert distance_to_line(true[::100], chained(pieces, 0.05)).max() < 0.01
-        np.testing.assert_allclose(rows[[0, -1]], true[[0, -1]], atol=0.01)
-        for piece, following in itertools.pairwise(pieces):
-            assert piece.successors == [following]
-            x, y, heading = piece.at(piece.length)
+        sampled = chained(segments, 0.7)
+        assert distance_to_line(sampled, true).max() < 0.01
+        assert distance_to_line(true[::100], chained(segments, 0.05)).max() < 0.01
+        np.testing.assert_allclose(sampled[[0, -1]], true[[0, -1]], atol=0.01)
+        for segment, following in itertools.pairwise(segments):
+            assert segment.successors == [following]
+            x, y, heading = segment.at(segment.length)
             assert math.hypot(following.x - x, following.y - y) < 1e-3
             assert math.cos(following.heading - heading) > math.cos(0.02)
 
@@ -195,11 +200,11 @@ def test_neighbours_are_in_order_from_the_drivers_left(tmp_path: Path, rule: str
     path = tmp_path / "road.xodr"
     line = Geometry(0.0, 0.0, 0.0, 0.0, 50.0, "line", (), 1)
     path.write_text(road_file(line, rule, (0.0, 0.0, 0.0, 0.0), (3.5, 0.0, 0.0, 0.0)))
-    strips = lay_roadway(read_opendrive(path)).strips
+    carriageways = build_roadway(read_opendrive(path)).carriageways
     expected = [[-1, -2], [1, 2]] if rule == "RHT" else [[2, 1], [-2, -1]]
-    assert [[piece.lane.id for piece in strip.lanes] for strip in strips] == expected
-    for strip in strips:
-        left, right = strip.lanes
+    assert [[segment.lane.id for segment in carriageway.lanes] for carriageway in carriageways] == expected
+    for carriageway in carriageways:
+        left, right = carriageway.lanes
         assert left.may_right
         assert right.may_left
         across = (right.y - left.y) * math.cos(left.heading) - (right.x - left.x) * math.sin(left.heading)

@@ -1,4 +1,4 @@
-"""Where it is driven on the left everything is the mirror image of driving on the right.
+"""With left-hand traffic everything is the mirror image of right-hand traffic.
 
 The maps are the project's own towns, mirrored as files: coordinates, curvatures, lanes and the rule of the
 road; what is compared is what the loader, the traffic and a driver make of both.
@@ -66,13 +66,13 @@ def mirrored(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return write
 
 
-def ends(town: Town, row: int) -> tuple[float, ...]:
-    """Where a row starts and how: x, y (m) and the heading's cosine and sine, rounded."""
+def ends(town: Town, lane: int) -> tuple[float, ...]:
+    """Return the pose where a lane starts: x, y (m) and the heading's cosine and sine, rounded."""
     graph = town.graph
-    heading = graph.start_heading[row]
+    heading = graph.start_heading[lane]
     return tuple(
         round(float(number), 3) + 0.0
-        for number in (graph.start_x[row], graph.start_y[row], math.cos(heading), math.sin(heading))
+        for number in (graph.start_x[lane], graph.start_y[lane], math.cos(heading), math.sin(heading))
     )
 
 
@@ -81,21 +81,18 @@ def mirror(pose: tuple[float, ...]) -> tuple[float, ...]:
     return x, -y + 0.0, cosine, -sine + 0.0
 
 
-def ways(town: Town) -> dict[tuple, tuple[int, int, bool, float]]:
-    """By origin and exit of all ways through junctions: turn, priority, whether it gives way, and courtesy.
-
-    That is by how many seconds a vehicle counts as having come later than it has.
-    """
+def movements_of(town: Town) -> dict[tuple, tuple[int, int, bool, float]]:
+    """Return by origin and exit of every movement: turn, priority, whether it yields, arrival penalty (s)."""
     movements, graph = town.movements, town.graph
-    later = new_traffic(town, 1, 1).rails.later
+    penalty = new_traffic(town, 1, 1).lane_links.arrival_penalty
     return {
-        (ends(town, int(movements.origin[way])), ends(town, int(movements.exit[way]))): (
-            int(graph.turn[movements.lane[movements.lane_start[way]]]),
-            int(movements.priority[way]),
-            bool(movements.yields[way]),
-            float(later[way]),
+        (ends(town, int(movements.origin[movement])), ends(town, int(movements.exit[movement]))): (
+            int(graph.turn[movements.lane[movements.lane_start[movement]]]),
+            int(movements.priority[movement]),
+            bool(movements.yields[movement]),
+            float(penalty[movement]),
         )
-        for way in range(movements.origin.size)
+        for movement in range(movements.origin.size)
     }
 
 
@@ -104,17 +101,17 @@ def test_oncoming_lanes_lie_on_the_drivers_right(name: str, mirrored: Callable[[
     for town, side in ((load_town(name), -1), (load_town(mirrored(name)), 1)):
         graph, names = town.graph, np.array(town.road_name)
         seen = 0
-        for row in np.flatnonzero(graph.junction < 0).tolist():
-            heading = float(graph.start_heading[row])
+        for lane in np.flatnonzero(graph.junction < 0).tolist():
+            heading = float(graph.start_heading[lane])
             oncoming = np.flatnonzero(
-                (names == names[row])
+                (names == names[lane])
                 & (graph.junction < 0)
-                & (town.lane_id * town.lane_id[row] < 0)
+                & (town.lane_id * town.lane_id[lane] < 0)
                 & (np.abs(np.cos(graph.start_heading - heading) + 1.0) < 1e-6)
                 & (graph.curvature == 0.0)
             )
-            dx = graph.start_x[oncoming] - graph.start_x[row]
-            dy = graph.start_y[oncoming] - graph.start_y[row]
+            dx = graph.start_x[oncoming] - graph.start_x[lane]
+            dy = graph.start_y[oncoming] - graph.start_y[lane]
             lateral = dy * math.cos(heading) - dx * math.sin(heading)
             beside = (abs(lateral) > 1.0) & (abs(lateral) < 30.0)
             seen += int(beside.sum())
@@ -123,13 +120,13 @@ def test_oncoming_lanes_lie_on_the_drivers_right(name: str, mirrored: Callable[[
 
 
 @pytest.mark.parametrize("name", ["town02", "town03", "town04"])
-def test_who_goes_first_is_mirrored(name: str, mirrored: Callable[[str], Path]) -> None:
-    right, left = ways(load_town(name)), ways(load_town(mirrored(name)))
+def test_priorities_are_mirrored(name: str, mirrored: Callable[[str], Path]) -> None:
+    right, left = movements_of(load_town(name)), movements_of(load_town(mirrored(name)))
     assert left == {
         (mirror(origin), mirror(target)): (MIRRORED_TURN[turn], *others)
         for (origin, target), (turn, *others) in right.items()
     }
-    # Turning right crosses the oncoming traffic, and waits for it.
+    # Right turns cross the oncoming traffic, and wait for it.
     across = [priority for turn, priority, yields, _ in left.values() if turn == TURN_RIGHT and not yields]
     assert across
     assert all(priority in (1, 3) for priority in across)
@@ -140,14 +137,17 @@ def test_changes_of_lane_are_mirrored(name: str, mirrored: Callable[[str], Path]
     one, other = load_town(name), load_town(mirrored(name))
 
     def changes(town: Town, side: np.ndarray) -> set[tuple]:
-        return {(ends(town, row), ends(town, int(side[row]))) for row in np.flatnonzero(side >= 0).tolist()}
+        return {
+            (ends(town, lane), ends(town, int(side[lane]))) for lane in np.flatnonzero(side >= 0).tolist()
+        }
 
     for side, mirrored_side in ((one.graph.left, other.graph.right), (one.graph.right, other.graph.left)):
-        expected = {(mirror(row), mirror(beside)) for row, beside in changes(one, side)}
+        expected = {(mirror(lane), mirror(beside)) for lane, beside in changes(one, side)}
         assert expected
         assert changes(other, mirrored_side) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["town03", "town04"])
 def test_traffic_flows_as_on_the_right(name: str, mirrored: Callable[[str], Path]) -> None:
     flow = measure_flow(load_town(mirrored(name)), vehicles=100, seed=0, minutes=5.0)

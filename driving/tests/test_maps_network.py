@@ -22,29 +22,29 @@ def test_every_lane_is_one_of_highway_envs(town: Town) -> None:
     assert {type(lane) for lane in lanes.values()} == {CircularLane, StraightLane}
 
 
-def test_copies_of_a_row_share_a_lane(town: Town) -> None:
+def test_copies_of_a_lane_share_an_index(town: Town) -> None:
     graph = town.graph
     place = np.stack(
         [graph.start_x, graph.start_y, graph.start_heading, graph.curvature, graph.length], axis=1
     )
     first: dict[tuple[str, str, int], int] = {}
-    for row, index in enumerate(town.lane_indices):
-        np.testing.assert_array_equal(place[first.setdefault(index, row)], place[row])
-    ordinary = [index for row, index in enumerate(town.lane_indices) if graph.movement[row] < 0]
+    for lane, index in enumerate(town.lane_indices):
+        np.testing.assert_array_equal(place[first.setdefault(index, lane)], place[lane])
+    ordinary = [index for lane, index in enumerate(town.lane_indices) if graph.movement[lane] < 0]
     assert len(set(ordinary)) == len(ordinary)
 
 
 def test_parallel_lanes_are_one_road_from_left_to_right(town: Town) -> None:
     graph = town.graph
-    for row in np.flatnonzero(graph.right >= 0).tolist():
-        start, end, identifier = town.lane_indices[row]
-        assert town.lane_indices[graph.right[row]] == (start, end, identifier + 1)
+    for lane in np.flatnonzero(graph.right >= 0).tolist():
+        start, end, identifier = town.lane_indices[lane]
+        assert town.lane_indices[graph.right[lane]] == (start, end, identifier + 1)
 
 
 def test_lanes_that_follow_each_other_meet_in_a_node(town: Town) -> None:
     graph = town.graph
-    for row, (_, end, _) in enumerate(town.lane_indices):
-        for after in graph.successor[graph.successor_start[row] : graph.successor_start[row + 1]]:
+    for lane, (_, end, _) in enumerate(town.lane_indices):
+        for after in graph.successor[graph.successor_start[lane] : graph.successor_start[lane + 1]]:
             assert town.lane_indices[after][0] == end
 
 
@@ -66,8 +66,8 @@ def test_highway_envs_own_vehicles_drive_with_random_routes(town: Town) -> None:
     road = Road(network=town.network, np_random=np.random.RandomState(1))
     streets = np.flatnonzero((town.graph.movement < 0) & (town.graph.length > 20.0))
     nodes = list(town.network.graph)
-    for row in rng.choice(streets, 6, replace=False):
-        vehicle = IDMVehicle.make_on_lane(road, town.lane_indices[row], longitudinal=8.0, speed=8.0)
+    for lane in rng.choice(streets, 6, replace=False):
+        vehicle = IDMVehicle.make_on_lane(road, town.lane_indices[lane], longitudinal=8.0, speed=8.0)
         vehicle.target_speed = 8.0
         vehicle.plan_route_to(str(rng.choice(nodes)))
         road.vehicles.append(vehicle)

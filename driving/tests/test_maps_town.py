@@ -1,4 +1,4 @@
-"""What every town promises to those who drive in it: the project's own and CARLA's."""
+"""What every town guarantees to vehicles: the project's own towns and CARLA's."""
 
 import itertools
 import math
@@ -14,12 +14,12 @@ def town(request: pytest.FixtureRequest, load_any: Callable[[str], Town]) -> Tow
     return load_any(request.param)
 
 
-def successors(town: Town, row: int) -> np.ndarray:
+def successors(town: Town, lane: int) -> np.ndarray:
     graph = town.graph
-    return graph.successor[graph.successor_start[row] : graph.successor_start[row + 1]]
+    return graph.successor[graph.successor_start[lane] : graph.successor_start[lane + 1]]
 
 
-def rows_of(town: Town, movement: int) -> list[int]:
+def lanes_of(town: Town, movement: int) -> list[int]:
     movements = town.movements
     return movements.lane[movements.lane_start[movement] : movements.lane_start[movement + 1]].tolist()
 
@@ -30,9 +30,9 @@ def pairs(start: np.ndarray, values: np.ndarray) -> list[tuple[int, int]]:
 
 
 def test_every_lane_link_closes(town: Town) -> None:
-    for row in range(len(town.graph.length)):
-        x, y, heading = lane_pose(town.graph, row, town.graph.length[row])
-        for following in successors(town, row):
+    for lane in range(len(town.graph.length)):
+        x, y, heading = lane_pose(town.graph, lane, town.graph.length[lane])
+        for following in successors(town, lane):
             next_x, next_y, next_heading = lane_pose(town.graph, following, 0.0)
             assert math.hypot(next_x - x, next_y - y) < 0.01
             assert abs((next_heading - heading + math.pi) % (2 * math.pi) - math.pi) < 0.02
@@ -40,22 +40,22 @@ def test_every_lane_link_closes(town: Town) -> None:
 
 def test_heights_have_no_steps(town: Town) -> None:
     graph = town.graph
-    for row in range(len(graph.length)):
-        end = graph.elevation[row] + graph.grade[row] * graph.length[row]
-        for following in successors(town, row):
+    for lane in range(len(graph.length)):
+        end = graph.elevation[lane] + graph.grade[lane] * graph.length[lane]
+        for following in successors(town, lane):
             assert graph.elevation[following] == pytest.approx(end, abs=0.1)
 
 
 def test_every_lane_can_be_reached_from_every_other(town: Town) -> None:
     graph = town.graph
-    edges: list[set[int]] = [set(successors(town, row).tolist()) for row in range(len(graph.length))]
+    edges: list[set[int]] = [set(successors(town, lane).tolist()) for lane in range(len(graph.length))]
     for beside in (graph.left, graph.right):
-        for row in np.flatnonzero(beside >= 0).tolist():
-            edges[row].add(int(beside[row]))
+        for lane in np.flatnonzero(beside >= 0).tolist():
+            edges[lane].add(int(beside[lane]))
     backwards: list[set[int]] = [set() for _ in edges]
-    for row, targets in enumerate(edges):
+    for lane, targets in enumerate(edges):
         for target in targets:
-            backwards[target].add(row)
+            backwards[target].add(lane)
     for links in (edges, backwards):
         reached, waiting = {0}, [0]
         while waiting:
@@ -76,12 +76,12 @@ def test_only_dead_ends_have_no_successor(town: Town) -> None:
 def test_neighbours_lie_beside_each_other(town: Town) -> None:
     graph = town.graph
     for beside, back, side in ((graph.left, graph.right, -1.0), (graph.right, graph.left, 1.0)):
-        for row in np.flatnonzero(beside >= 0).tolist():
-            other = int(beside[row])
-            assert back[other] in (row, -1)
-            assert graph.movement[row] == graph.movement[other] == -1
+        for lane in np.flatnonzero(beside >= 0).tolist():
+            other = int(beside[lane])
+            assert back[other] in (lane, -1)
+            assert graph.movement[lane] == graph.movement[other] == -1
             for share in (0.0, 0.5, 1.0):
-                x, y, heading = lane_pose(town.graph, row, share * graph.length[row])
+                x, y, heading = lane_pose(town.graph, lane, share * graph.length[lane])
                 other_x, other_y, _ = lane_pose(town.graph, other, share * graph.length[other])
                 across = (other_y - y) * math.cos(heading) - (other_x - x) * math.sin(heading)
                 along = (other_x - x) * math.cos(heading) + (other_y - y) * math.sin(heading)
@@ -92,29 +92,29 @@ def test_neighbours_lie_beside_each_other(town: Town) -> None:
 def test_a_movement_leads_from_a_lane_to_the_next(town: Town) -> None:
     graph, movements = town.graph, town.movements
     for movement in range(len(movements.length)):
-        chain = [movements.origin[movement], *rows_of(town, movement), movements.exit[movement]]
-        for row, following in itertools.pairwise(chain):
-            assert following in successors(town, row)
-        rows = chain[1:-1]
-        assert set(graph.movement[rows]) == {movement}
+        chain = [movements.origin[movement], *lanes_of(town, movement), movements.exit[movement]]
+        for lane, following in itertools.pairwise(chain):
+            assert following in successors(town, lane)
+        lanes = chain[1:-1]
+        assert set(graph.movement[lanes]) == {movement}
         assert graph.movement[chain[0]] == graph.movement[chain[-1]] == -1
-        assert len(set(graph.junction[rows])) == 1
+        assert len(set(graph.junction[lanes])) == 1
         np.testing.assert_allclose(
-            graph.movement_offset[rows], np.concatenate([[0.0], np.cumsum(graph.length[rows])[:-1]])
+            graph.movement_offset[lanes], np.concatenate([[0.0], np.cumsum(graph.length[lanes])[:-1]])
         )
-        assert movements.length[movement] == pytest.approx(graph.length[rows].sum())
+        assert movements.length[movement] == pytest.approx(graph.length[lanes].sum())
     assert (graph.junction[graph.movement < 0] == -1).all()
 
 
 def test_behind_every_movement_there_is_room_to_stand(town: Town) -> None:
     graph, movements = town.graph, town.movements
-    for row in set(movements.exit.tolist()):
+    for lane in set(movements.exit.tolist()):
         room = 0.0
-        while room < 12.0 and graph.movement[row] < 0:
-            room += graph.length[row]
-            if graph.dead_end[row] or len(successors(town, row)) > 1:
+        while room < 12.0 and graph.movement[lane] < 0:
+            room += graph.length[lane]
+            if graph.dead_end[lane] or len(successors(town, lane)) > 1:
                 break
-            row = int(successors(town, row)[0])
+            lane = int(successors(town, lane)[0])
         assert room >= 12.0
 
 
@@ -140,9 +140,9 @@ def test_vehicles_beyond_the_release_are_out_of_the_way(town: Town) -> None:
     points = [
         np.array(
             [
-                (*lane_pose(town.graph, row, s)[:2], town.graph.movement_offset[row] + s)
-                for row in rows_of(town, movement)
-                for s in np.linspace(0.0, town.graph.length[row], 1 + math.ceil(town.graph.length[row]))
+                (*lane_pose(town.graph, lane, s)[:2], town.graph.movement_offset[lane] + s)
+                for lane in lanes_of(town, movement)
+                for s in np.linspace(0.0, town.graph.length[lane], 1 + math.ceil(town.graph.length[lane]))
             ]
         )
         for movement in range(len(movements.length))
@@ -155,12 +155,12 @@ def test_vehicles_beyond_the_release_are_out_of_the_way(town: Town) -> None:
             assert apart.min() > 2.4
 
 
-def test_who_gives_way_comes_last(town: Town) -> None:
+def test_movements_that_yield_come_last(town: Town) -> None:
     movements = town.movements
     assert movements.priority.min() == 0
     if movements.yields.any():
         assert movements.priority[movements.yields].min() > movements.priority[~movements.yields].max()
-    first = {int(movements.conflict_start[row]) for row in np.flatnonzero(movements.yields)}
+    first = {int(movements.conflict_start[movement]) for movement in np.flatnonzero(movements.yields)}
     assert len(first) <= len(movements.length)
 
 

@@ -1,13 +1,14 @@
-"""The metrics of trajectories whose metrics are known."""
+"""The metrics of trajectories with known metrics."""
 
 import math
 
 import numpy as np
 import pytest
-from athrl_driving.compilation import compiled
+from athrl_driving.kernels.compilation import compiled
 from athrl_driving.metrics import (
     COMFORT_BOUNDS,
     MetricsState,
+    TickRecord,
     environment_metrics,
     new_metrics,
     note_tick,
@@ -22,14 +23,14 @@ DT = 0.1
 
 
 @compiled
-def _reset(metrics: MetricsState, row: int, speed: float, heading: float, goal: float) -> None:
-    reset_metrics(environment_metrics(metrics, row), speed, heading, goal)
+def _reset(metrics: MetricsState, environment: int, speed: float, heading: float, goal: float) -> None:
+    reset_metrics(environment_metrics(metrics, environment), speed, heading, goal)
 
 
 @compiled
 def _note(
     metrics: MetricsState,
-    row: int,
+    environment: int,
     speed: float,
     heading: float,
     time_to_collision: float,
@@ -38,19 +39,10 @@ def _note(
     left_lane: bool,
     arrived: bool,
 ) -> None:
-    note_tick(
-        environment_metrics(metrics, row),
-        speed,
-        heading,
-        speed * 0.1,
-        -0.5,
-        time_to_collision,
-        red_light,
-        collision,
-        left_lane,
-        arrived,
-        0.1,
+    tick = TickRecord(
+        speed, heading, speed * 0.1, -0.5, time_to_collision, red_light, collision, left_lane, arrived, 0.1
     )
+    note_tick(environment_metrics(metrics, environment), tick)
 
 
 class Drive:
@@ -113,7 +105,7 @@ def test_infractions_cost_what_the_leaderboard_takes() -> None:
     assert drive.summary()["driving_score"] == pytest.approx(0.65)
 
 
-def test_ends_are_told_apart() -> None:
+def test_ends_are_distinguished() -> None:
     left = Drive(speed=5.0)
     left.tick(5.0, left_lane=True)
     assert left.summary(lasted=False)["out_of_road"] == 1.0
@@ -136,7 +128,7 @@ def test_time_to_collision_is_the_least_and_its_share() -> None:
 
 
 def test_steady_acceleration_and_turning_are_judged_by_their_values() -> None:
-    """Each bound, a little below and a little above it, in a motion that only has that."""
+    """Values slightly below and above each bound, in motions that only have that quantity."""
     ticks = np.arange(101)
     time = ticks * DT
     straight = np.zeros(101)

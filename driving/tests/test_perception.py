@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 TOWN = load_town("town03")
 GRAPH = TOWN.graph
 MOST = 12
-"""Vehicles of a moment; those that it does not have are far away."""
+"""Most vehicles of a moment; unused ones are far away."""
 
 SEEDS = st.integers(0, 2**32 - 1)
 SIZES = st.sampled_from([32, 64])
@@ -186,7 +186,7 @@ def test_grid_of_a_town_is_drawn_once() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, SIZES, st.sampled_from([{}, {"window_side": 48.0, "ego_above_lower_edge": 24.0}]))
-def test_vehicles_and_where_they_will_be(seed: int, size: int, window: dict[str, float]) -> None:
+def test_vehicles_and_their_predicted_positions(seed: int, size: int, window: dict[str, float]) -> None:
     view = moment(seed, size, **window)
     forward, right = pixel_centres(view)
     pixel = view.perception.window_side / size
@@ -225,7 +225,7 @@ def test_route_line_fades_with_the_distance_from_the_route(seed: int, size: int)
     for point in range(positions.size):
         distance = np.minimum(distance, np.hypot(forward - ahead[point], right - aside[point]))
     expected = 255.0 * np.clip(1.0 - distance * size / 32.0 / 1.5, 0.0, 1.0)
-    # Bits a pixel long leave an arc by some hundredths of a pixel.
+    # Steps of a pixel deviate from an arc by some hundredths of a pixel.
     np.testing.assert_allclose(view.image()[..., 2], expected, atol=6.0)
 
 
@@ -277,7 +277,7 @@ def test_lidar_rays_end_on_the_first_vehicle(seed: int, lidar: tuple[int, float]
     rays, reach = lidar
     view = moment(seed, lidar_rays=rays, lidar_range=reach)
     background = view.traffic.background
-    # A ray that starts inside a vehicle has no edge to end on.
+    # A ray that starts inside a vehicle has no edge to end at.
     background.x[0][np.hypot(background.x[0] - view.x, background.y[0] - view.y) < 5.0] = 1e6
     cars = view.vehicles
     expected = np.full(rays, np.inf)
@@ -340,7 +340,7 @@ def test_left_of_the_image_is_the_drivers_left_and_up_is_ahead() -> None:
         assert columns.mean() == 9.5  # 6 m to the left of the middle
 
 
-def test_a_vehicles_way_ahead_tells_direction_and_speed() -> None:
+def test_a_vehicles_prediction_shows_direction_and_speed() -> None:
     straight = int(np.flatnonzero(GRAPH.curvature == 0)[0])
 
     def shade(heading: float, speed: float) -> NDArray:
@@ -363,6 +363,6 @@ def test_a_vehicles_way_ahead_tells_direction_and_speed() -> None:
     ("setting", "value"),
     [("window_side", 0.0), ("ego_above_lower_edge", 33.0), ("lidar_range", -1.0), ("lidar_rays", 0)],
 )
-def test_a_setting_that_cannot_be_is_named(setting: str, value: float) -> None:
+def test_an_invalid_setting_is_named(setting: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"the setting {setting} is {value}, it should be"):
         new_perception(TOWN, **{setting: value})

@@ -1,4 +1,4 @@
-"""A batch of environments drives each of them as it would be driven alone."""
+"""A batch of environments drives each of them as if it were alone."""
 
 import gymnasium
 import numpy as np
@@ -17,6 +17,7 @@ from athrl_spaces import (
 from athrl_spaces.environment import BOUNDS
 
 CONFIG = environment_config(
+    strict_map=False,
     vehicles=10,
     image_size=32,
     episode_ticks=20,
@@ -27,10 +28,10 @@ CONFIG = environment_config(
 )
 
 
-def test_rows_are_what_each_environment_alone_would_show():
+def test_environments_show_what_each_environment_alone_would_show():
     batch = EnvironmentBatch(["town03"] * 2, CONFIG)
-    for row, seed in enumerate((5, 6)):
-        batch.reset(row, seed)
+    for env_index, seed in enumerate((5, 6)):
+        batch.reset(env_index, seed)
     action = np.array([0.5, 0.0], np.float32)
     steps = [batch.step(np.stack([action, action])) for _ in range(3)]
     alone = gymnasium.make("athrl/Town03-v0", config=CONFIG)
@@ -43,7 +44,7 @@ def test_rows_are_what_each_environment_alone_would_show():
     np.testing.assert_array_equal(batch.motion[1], observation["motion"])
 
 
-def test_rows_that_are_not_active_stand_still():
+def test_environments_that_are_not_active_stand_still():
     batch = EnvironmentBatch(["town03"] * 2, CONFIG)
     batch.reset(0, 1)
     batch.reset(1, 2)
@@ -85,8 +86,8 @@ def test_a_policys_description_makes_an_environment_that_takes_its_decisions():
 def test_bounds_of_settings_are_those_that_run_files_share(name: str):
     kind, low, high = BOUNDS[name]
     plain = {
-        "vehicles": 10, "image_size": 32, "episode_ticks": 20, "ticks_per_decision": 4, "maximum_speed": 7.95,
-        "waypoint_radius": 8.0, "waypoint_half_angle": 30.0,
+        "strict_map": False, "vehicles": 10, "image_size": 32, "episode_ticks": 20, "ticks_per_decision": 4,
+        "maximum_speed": 7.95, "waypoint_radius": 8.0, "waypoint_half_angle": 30.0,
     }  # fmt: skip
     defaults = TownEnv.default_config()
     for value in (low, high):

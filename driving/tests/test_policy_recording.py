@@ -1,4 +1,4 @@
-"""What a batch records is what its driver saw, decision by decision."""
+"""A batch records what its driver observed, decision by decision."""
 
 import numpy as np
 import pytest
@@ -12,13 +12,13 @@ ROOM = 4
 @pytest.fixture(params=[1, 8])
 def batch(request: pytest.FixtureRequest) -> EnvironmentBatch:
     batch = EnvironmentBatch(["town03"] * request.param, CONFIG, recorded=ROOM)
-    for row in range(len(batch)):
-        batch.reset(row, seed=row)
+    for env_index in range(len(batch)):
+        batch.reset(env_index, seed=env_index)
     return batch
 
 
 def drive(batch: EnvironmentBatch, decisions: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is seen before and after each of so many decisions, [time + 1, batch, ...], and rewards."""
+    """Observations before and after each of so many decisions, [time + 1, batch, ...], and rewards."""
     images, motion, rewards = [batch.images.copy()], [batch.motion.copy()], []
     random = np.random.default_rng(0)
     for _ in range(decisions):
@@ -28,15 +28,15 @@ def drive(batch: EnvironmentBatch, decisions: int) -> tuple[np.ndarray, np.ndarr
     return np.stack(images), np.stack(motion), np.stack(rewards)
 
 
-def test_recording_holds_what_was_seen_and_earned(batch: EnvironmentBatch):
+def test_recording_holds_observations_and_rewards(batch: EnvironmentBatch):
     images, motion, rewards = drive(batch, ROOM)
-    for row in range(len(batch)):
-        np.testing.assert_array_equal(batch.recording.images[row], images[:, row])
-        np.testing.assert_array_equal(batch.recording.motion[row], motion[:, row])
-        np.testing.assert_array_equal(batch.recording.rewards[row, 1:], rewards[:, row])
+    for env_index in range(len(batch)):
+        np.testing.assert_array_equal(batch.recording.images[env_index], images[:, env_index])
+        np.testing.assert_array_equal(batch.recording.motion[env_index], motion[:, env_index])
+        np.testing.assert_array_equal(batch.recording.rewards[env_index, 1:], rewards[:, env_index])
 
 
-def test_terms_on_the_tape_are_what_info_tells_and_sum_to_the_reward(batch: EnvironmentBatch):
+def test_recorded_terms_are_what_info_tells_and_sum_to_the_reward(batch: EnvironmentBatch):
     random, told = np.random.default_rng(1), []
     for _ in range(ROOM):
         infos = batch.step(random.uniform(-1, 1, (len(batch), 2)).astype(np.float32)).infos
@@ -56,8 +56,8 @@ def test_recording_holds_what_another_held_whose_state_it_loads(batch: Environme
     columns = ("images", "motion", "rewards", "terms")
     held = {name: getattr(batch.recording, name).copy() for name in columns}
     other = EnvironmentBatch(batch.towns, CONFIG, recorded=ROOM)
-    for row in range(len(other)):
-        other.reset(row, seed=50 + row)
+    for env_index in range(len(other)):
+        other.reset(env_index, seed=50 + env_index)
     drive(other, ROOM)
     assert not np.array_equal(other.recording.terms, held["terms"])
     other.recording.load_state(state)
@@ -67,13 +67,13 @@ def test_recording_holds_what_another_held_whose_state_it_loads(batch: Environme
     assert all(np.array_equal(one, state[name]) for name, one in other.recording.state().items())
 
 
-def test_what_is_taken_out_makes_room_and_the_next_begins_with_what_was_seen_last(batch: EnvironmentBatch):
+def test_removed_decisions_make_room_and_the_next_begin_with_the_last_observation(batch: EnvironmentBatch):
     for _ in range(3):
         images, _, rewards = drive(batch, 2)
-        for row in range(len(batch)):
-            np.testing.assert_array_equal(batch.recording.images[row, :3], images[:, row])
-            np.testing.assert_array_equal(batch.recording.rewards[row, 1:3], rewards[:, row])
-            batch.recording.rewind(row, 2)
+        for env_index in range(len(batch)):
+            np.testing.assert_array_equal(batch.recording.images[env_index, :3], images[:, env_index])
+            np.testing.assert_array_equal(batch.recording.rewards[env_index, 1:3], rewards[:, env_index])
+            batch.recording.rewind(env_index, 2)
 
 
 def test_an_episode_is_recorded_from_its_beginning(batch: EnvironmentBatch):
@@ -84,17 +84,17 @@ def test_an_episode_is_recorded_from_its_beginning(batch: EnvironmentBatch):
     batch.reset(0, seed=77)
     batch.reset(last, seed=78)
     images, _, _ = drive(batch, 2)
-    for row in (0, last):
-        np.testing.assert_array_equal(batch.recording.images[row, :3], images[:, row])
+    for env_index in (0, last):
+        np.testing.assert_array_equal(batch.recording.images[env_index, :3], images[:, env_index])
 
 
-def test_what_finds_no_room_is_not_recorded_and_harms_nobody(batch: EnvironmentBatch):
+def test_decisions_beyond_the_capacity_are_not_recorded(batch: EnvironmentBatch):
     images, _, _ = drive(batch, 3 * ROOM)
-    for row in range(len(batch)):
-        np.testing.assert_array_equal(batch.recording.images[row], images[: ROOM + 1, row])
+    for env_index in range(len(batch)):
+        np.testing.assert_array_equal(batch.recording.images[env_index], images[: ROOM + 1, env_index])
 
 
-def test_guarded_batch_records_too_and_a_new_one_anew(monkeypatch: pytest.MonkeyPatch):
+def test_guarded_batch_records_and_a_replaced_one_starts_again(monkeypatch: pytest.MonkeyPatch):
     guarded = GuardedBatch(["town03"] * 2, CONFIG, seconds=60, recorded=ROOM)
     try:
         before = guarded.recording

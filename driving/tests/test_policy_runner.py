@@ -1,6 +1,7 @@
 """The ONNX runner against hand-written graphs and against a planner's own export."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -41,7 +42,7 @@ DESCRIPTION = PolicyDescription(
 )
 METADATA = json.loads(DESCRIPTION.to_json())
 
-# The intention is 1 unless noise or force say otherwise, the target speed 2 + intention, the angle the mean
+# The intention is 1 unless noise or forcing change it, the target speed 2 + intention, the angle the mean
 # motion; the states count decisions, by ones and by twos.
 GRAPH = """
 <ir_version: 8, opset_import: ["" : 17]>
@@ -203,7 +204,7 @@ def test_a_policy_of_choices_without_memory_has_no_noise_and_empty_states():
 
 
 @pytest.mark.parametrize(("choice", "said"), [(3.0, "as 3"), (-1.0, "as -1"), (0.5, "as 0.5")])
-def test_a_choice_that_there_is_not_is_the_policys_fault(choice: float, said: str):
+def test_an_unknown_choice_is_the_policys_fault(choice: float, said: str):
     images, motion = observe(2)
     motion[:, 0] = [1.0, choice]
     with pytest.raises(
@@ -221,8 +222,12 @@ def test_a_number_beyond_its_range_is_the_policys_fault():
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "ONNX Runtime cannot open it"),
-        (b"this is a text", "ONNX Runtime cannot open it"),
+        (b"", "it is not an ONNX file, or an empty one"),
+        (b"this is a text", "it is not an ONNX file"),
+        (
+            artefact(graph=GRAPH.replace("Add (unlit, one)", "Softmax <axis: int = 9> (unlit)")),
+            "ONNX Runtime cannot open it",
+        ),
         (artefact(metadata=None), "no 'athrl' metadata"),
         (artefact(metadata="no json"), "not JSON"),
         (artefact(metadata="[]"), "not a JSON object"),
@@ -253,7 +258,7 @@ def test_a_file_that_is_no_policy_is_one_line_that_names_it(tmp_path: Path, cont
 
 
 def test_a_missing_file_is_one_line_that_names_it(tmp_path: Path):
-    with pytest.raises(InvalidPolicy, match=r"cannot read the policy .*nothing.onnx: No such file"):
+    with pytest.raises(InvalidPolicy, match=r"the policy .*nothing.onnx cannot be read: no such file"):
         OnnxPolicy.load(tmp_path / "nothing.onnx")
 
 
@@ -270,3 +275,27 @@ def test_without_its_extra_the_missing_package_is_named_with_how_to_get_it() -> 
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     assert result.returncode == 1
     assert result.stderr.splitlines()[-1].endswith("pip install 'athrl-driving[policy]'")
+
+
+_RUN_A_POLICY = """
+import sys
+from athrl_driving.policy import OnnxPolicy
+OnnxPolicy.load(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize(("chosen", "leaves_files"), [(None, False), ("0", True)])
+def test_a_policy_leaves_nothing_in_the_home_unless_its_owner_wants_telemetry(
+    tmp_path: Path, chosen: str | None, leaves_files: bool
+) -> None:
+    file, home = tmp_path / "some.onnx", tmp_path / "home"
+    file.write_bytes(artefact())
+    home.mkdir()
+    outside = {name: value for name, value in os.environ.items() if not name.startswith(("ORT_", "XDG_"))}
+    choice = {} if chosen is None else {"ORT_DISABLE_TELEMETRY": chosen}
+    result = subprocess.run(
+        [sys.executable, "-c", _RUN_A_POLICY, str(file)],
+        env={**outside, **choice, "HOME": str(home)}, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert any(path.is_file() for path in home.rglob("*")) == leaves_files

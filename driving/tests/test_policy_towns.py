@@ -67,7 +67,7 @@ def test_towns_are_interleaved() -> None:
         ({"town03": 1.0}, -1, "the number of environments is -1"),
     ],
 )
-def test_shares_that_cannot_be_are_refused(shares: dict, count: int, message: str) -> None:
+def test_invalid_shares_are_refused(shares: dict, count: int, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         spread_towns(shares, count)
 
@@ -86,42 +86,42 @@ def test_towns_in_one_batch_do_what_each_does_alone(kind: type, action_kind: str
     ]
     seen: list[list[dict]] = []
     earned: list[list[list[float]]] = [[] for _ in MIXED]
-    for row, env in enumerate(alone):
-        batch.reset(row, seed=40 + row)
-        seen.append([env.reset(seed=40 + row)[0]])
+    for env_index, env in enumerate(alone):
+        batch.reset(env_index, seed=40 + env_index)
+        seen.append([env.reset(seed=40 + env_index)[0]])
     rng, running = np.random.default_rng(3), np.ones(len(MIXED), bool)
     for _ in range(5):
         actions = np.array([env.action_space.sample() for env in alone], np.float32)
         actions[:, 1] = rng.uniform(-1, 1, len(MIXED)) if action_kind != "waypoint-set" else actions[:, 1]
         step = batch.step(actions, active=running)
-        for row in np.flatnonzero(running).tolist():
-            observation, reward, terminated, truncated, info = alone[row].step(actions[row])
-            seen[row].append(observation)
-            np.testing.assert_array_equal(batch.images[row], observation["image"])
-            np.testing.assert_array_equal(batch.motion[row], observation["motion"])
-            assert step.rewards[row] == np.float32(reward)
-            assert (step.terminated[row], step.truncated[row]) == (terminated, truncated)
-            assert step.infos["distance"][row] == info["distance"]
-            assert step.infos["reward_terms"]["speed"][row] == info["reward_terms"]["speed"]
-            assert batch.info(row) == info
-            earned[row].append([info["reward_terms"][term] for term in REWARD_TERMS])
-            assert batch.environments[row].town is alone[row].town
+        for env_index in np.flatnonzero(running).tolist():
+            observation, reward, terminated, truncated, info = alone[env_index].step(actions[env_index])
+            seen[env_index].append(observation)
+            np.testing.assert_array_equal(batch.images[env_index], observation["image"])
+            np.testing.assert_array_equal(batch.motion[env_index], observation["motion"])
+            assert step.rewards[env_index] == np.float32(reward)
+            assert (step.terminated[env_index], step.truncated[env_index]) == (terminated, truncated)
+            assert step.infos["distance"][env_index] == info["distance"]
+            assert step.infos["reward_terms"]["speed"][env_index] == info["reward_terms"]["speed"]
+            assert batch.info(env_index) == info
+            earned[env_index].append([info["reward_terms"][term] for term in REWARD_TERMS])
+            assert batch.environments[env_index].town is alone[env_index].town
             if terminated or truncated:
-                assert step.infos["metrics"]["distance"][row] == info["metrics"]["distance"]
-                running[row] = False
-    for row, observations in enumerate(seen):
+                assert step.infos["metrics"]["distance"][env_index] == info["metrics"]["distance"]
+                running[env_index] = False
+    for env_index, observations in enumerate(seen):
         for place, observation in enumerate(observations):
-            np.testing.assert_array_equal(batch.recording.images[row, place], observation["image"])
-            np.testing.assert_array_equal(batch.recording.motion[row, place], observation["motion"])
-        terms = batch.recording.terms[row, 1 : len(observations)]
-        np.testing.assert_array_equal(terms, np.array(earned[row], np.float32))
+            np.testing.assert_array_equal(batch.recording.images[env_index, place], observation["image"])
+            np.testing.assert_array_equal(batch.recording.motion[env_index, place], observation["motion"])
+        terms = batch.recording.terms[env_index, 1 : len(observations)]
+        np.testing.assert_array_equal(terms, np.array(earned[env_index], np.float32))
     batch.close()
 
 
-def test_rows_that_are_not_active_stand_still_in_every_town() -> None:
+def test_environments_that_are_not_active_stand_still_in_every_town() -> None:
     batch = EnvironmentBatch(MIXED, CONFIG)
-    for row in range(len(batch)):
-        batch.reset(row, seed=row)
+    for env_index in range(len(batch)):
+        batch.reset(env_index, seed=env_index)
     before = batch.images.copy()
     active = np.array([True, False, False, False, True, True])
     step = batch.step(np.ones((6, 2), np.float32), active)
@@ -131,10 +131,10 @@ def test_rows_that_are_not_active_stand_still_in_every_town() -> None:
     batch.close()
 
 
-def test_an_action_that_is_none_moves_no_town() -> None:
+def test_an_invalid_action_moves_no_town() -> None:
     batch = EnvironmentBatch(["town02", "town03"], CONFIG)
-    for row in range(2):
-        batch.reset(row, seed=row)
+    for env_index in range(2):
+        batch.reset(env_index, seed=env_index)
     with pytest.raises(ValueError, match=r"of environments \[1\] is \[0.0, nan\]"):
         batch.step(np.array([[0, 0], [0, np.nan]], np.float32))
     assert [environment.scene().step for environment in batch.environments] == [0, 0]

@@ -1,6 +1,6 @@
 """Defects of the authors' release that driving must not have; each test fails if its defect comes back.
 
-The numbers are those of the list of its nine defects; the others belong to planners and services.
+The numbers are those of its list of nine defects; the remaining ones concern planners and services.
 """
 
 import math
@@ -11,7 +11,7 @@ import pytest
 from athrl_driving.control import WaypointController
 from athrl_driving.drivers import RuleBasedDriver
 from athrl_driving.envs import TownEnv, TownVectorEnv
-from athrl_driving.episode import BEGIN, TAKE, TICK
+from athrl_driving.episode import BEGIN, SET_ACTION, TICK
 from gymnasium.vector import AutoresetMode
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,7 +27,7 @@ def test_defect_3_controllers_keep_their_integral_and_their_last_error_between_t
     for decision in range(12):
         action = np.array([-0.2 + 0.03 * decision, 0.02], dtype=np.float32)
         speeds, commands = [], []
-        env._do(BEGIN + TAKE, action)
+        env._do(BEGIN + SET_ACTION, action)
         for _ in range(4):
             speeds.append(env.vehicle.speed)
             env._do(TICK)
@@ -125,8 +125,8 @@ def test_defect_9_a_vector_counts_a_step_of_each_environment_that_was_stepped() 
     vector = TownVectorEnv(3, config=ALONE, autoreset_mode=AutoresetMode.DISABLED)
     vector.reset(seed=1)
     for _ in range(2):
-        vector.step_rows(np.zeros((3, 2), np.float32), np.array([True, False, True]))
+        vector.step_environments(np.zeros((3, 2), np.float32), np.array([True, False, True]))
     vector.step(np.zeros((3, 2), np.float32))
-    assert [vector.scene(row).step for row in range(3)] == [3, 1, 3]
+    assert [vector.scene(e).step for e in range(3)] == [3, 1, 3]
     assert vector.episodes.state.progress.ticks.tolist() == [12, 4, 12]
     vector.close()

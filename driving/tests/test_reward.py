@@ -1,4 +1,4 @@
-"""Each term of the reward, worked out by hand from the weights 200, 1, 10, 1, 5, 0.2 and -0.1."""
+"""Each term of the reward, calculated by hand from the weights 200, 1, 10, 1, 5, 0.2 and -0.1."""
 
 import math
 

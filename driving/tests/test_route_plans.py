@@ -21,33 +21,35 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def weighted(graph: LaneGraph) -> networkx.DiGraph:
     """The same lanes and costs for networkx."""
-    ways = networkx.DiGraph()
-    ways.add_nodes_from(range(graph.length.size))
-    for row in range(graph.length.size):
-        following = graph.successor[graph.successor_start[row] : graph.successor_start[row + 1]]
-        steps = [(int(other), float(graph.length[row])) for other in following]
-        change = float(change_cost.py_func(graph, row))
-        steps += [(int(other), change) for other in (graph.left[row], graph.right[row]) if other >= 0]
-        # Of two ways to the same row the costlier is added first, and replaced.
+    digraph = networkx.DiGraph()
+    digraph.add_nodes_from(range(graph.length.size))
+    for lane in range(graph.length.size):
+        following = graph.successor[graph.successor_start[lane] : graph.successor_start[lane + 1]]
+        steps = [(int(other), float(graph.length[lane])) for other in following]
+        change = float(change_cost.py_func(graph, lane))
+        steps += [(int(other), change) for other in (graph.left[lane], graph.right[lane]) if other >= 0]
+        # Of two steps to the same lane the costlier is added first, and replaced.
         for other, weight in sorted(steps, key=lambda step: -step[1]):
-            ways.add_edge(row, other, weight=weight)
-    return ways
+            digraph.add_edge(lane, other, weight=weight)
+    return digraph
 
 
-def cost(ways: networkx.DiGraph, plan: NDArray[np.int64]) -> float:
-    return sum(ways.edges[a, b]["weight"] for a, b in zip(plan[:-1].tolist(), plan[1:].tolist(), strict=True))
+def cost(digraph: networkx.DiGraph, plan: NDArray[np.int64]) -> float:
+    return sum(
+        digraph.edges[a, b]["weight"] for a, b in zip(plan[:-1].tolist(), plan[1:].tolist(), strict=True)
+    )
 
 
 def random_graph(seed: int) -> LaneGraph:
     """Rows of random lengths with random successors and neighbours; only the search makes sense on it."""
     rng = np.random.default_rng(seed)
-    rows = int(rng.integers(2, 30))
-    starts = np.concatenate([[0], np.cumsum(rng.integers(0, 4, rows))])
-    neighbours = [np.where(rng.random(rows) < 0.3, rng.integers(0, rows, rows), -1) for _ in range(2)]
+    count = int(rng.integers(2, 30))
+    starts = np.concatenate([[0], np.cumsum(rng.integers(0, 4, count))])
+    neighbours = [np.where(rng.random(count) < 0.3, rng.integers(0, count, count), -1) for _ in range(2)]
     return GRAPHS["town03"]._replace(
-        length=rng.uniform(1.0, 100.0, rows),
+        length=rng.uniform(1.0, 100.0, count),
         successor_start=starts,
-        successor=rng.integers(0, rows, starts[-1]),
+        successor=rng.integers(0, count, starts[-1]),
         left=neighbours[0],
         right=neighbours[1],
     )
@@ -57,42 +59,44 @@ def random_graph(seed: int) -> LaneGraph:
 @given(SEEDS)
 def test_shortest_route_is_as_short_as_networkx_finds(seed: int) -> None:
     graph = random_graph(seed)
-    ways = weighted(graph)
+    digraph = weighted(graph)
     origin, destination = np.random.default_rng(seed).integers(0, graph.length.size, 2).tolist()
-    if not networkx.has_path(ways, origin, destination):
+    if not networkx.has_path(digraph, origin, destination):
         with pytest.raises(ValueError, match=f"no way leads from lane {origin} to lane {destination}"):
             shortest_route(graph, origin, destination)
         return
     plan = shortest_route(graph, origin, destination)
     assert (plan[0], plan[-1]) == (origin, destination)
-    best = networkx.shortest_path_length(ways, origin, destination, weight="weight")
-    assert cost(ways, plan) == pytest.approx(best)
+    best = networkx.shortest_path_length(digraph, origin, destination, weight="weight")
+    assert cost(digraph, plan) == pytest.approx(best)
 
 
 @pytest.mark.parametrize("name", sorted(GRAPHS))
 def test_shortest_routes_in_towns_are_the_shortest(name: str) -> None:
     graph = GRAPHS[name]
-    ways = weighted(graph)
+    digraph = weighted(graph)
     rng = np.random.default_rng(0)
     for origin in rng.integers(0, graph.length.size, 5).tolist():
-        best = networkx.single_source_dijkstra_path_length(ways, origin)
+        best = networkx.single_source_dijkstra_path_length(digraph, origin)
         for destination in rng.integers(0, graph.length.size, 10).tolist():
-            assert cost(ways, shortest_route(graph, origin, destination)) == pytest.approx(best[destination])
+            assert cost(digraph, shortest_route(graph, origin, destination)) == pytest.approx(
+                best[destination]
+            )
 
 
-def test_way_around_leaves_the_lane_and_comes_back() -> None:
+def test_route_around_leaves_the_lane_and_comes_back() -> None:
     graph = GRAPHS["town03"]
     assert shortest_route(graph, 5, 5).tolist() == [5]
     around = shortest_route(graph, 5, 5, around=True)
     assert (around[0], around[-1]) == (5, 5)
     assert around.size > 2
-    ways = weighted(graph)
+    digraph = weighted(graph)
     loops = (
-        ways.edges[5, following]["weight"]
-        + networkx.shortest_path_length(ways, following, 5, weight="weight")
-        for following in ways.successors(5)
+        digraph.edges[5, following]["weight"]
+        + networkx.shortest_path_length(digraph, following, 5, weight="weight")
+        for following in digraph.successors(5)
     )
-    assert cost(ways, around) == pytest.approx(min(loops))
+    assert cost(digraph, around) == pytest.approx(min(loops))
 
 
 def test_lanes_that_do_not_exist_are_refused() -> None:
@@ -101,17 +105,17 @@ def test_lanes_that_do_not_exist_are_refused() -> None:
 
 
 def largest_break(route: Route) -> float:
-    """The largest gap (m) and kink (rad) between the pieces that are known."""
-    pieces, ends = route.pieces, route.starts[1:-1]
-    before = np.array([_end(piece) for piece in pieces[:-1]])
-    gaps = np.hypot(before[:, 0] - pieces[1:, 0], before[:, 1] - pieces[1:, 1])
-    kinks = np.abs((before[:, 2] - pieces[1:, 2] + np.pi) % (2 * np.pi) - np.pi)
-    assert ends == pytest.approx(pieces[1:, 5])
+    """The largest gap (m) and kink (rad) between the segments that are known."""
+    segments, ends = route.segments, route.starts[1:-1]
+    before = np.array([_end(segment) for segment in segments[:-1]])
+    gaps = np.hypot(before[:, 0] - segments[1:, 0], before[:, 1] - segments[1:, 1])
+    kinks = np.abs((before[:, 2] - segments[1:, 2] + np.pi) % (2 * np.pi) - np.pi)
+    assert ends == pytest.approx(segments[1:, 5])
     return float(max(gaps.max(initial=0.0), kinks.max(initial=0.0)))
 
 
-def _end(piece: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, heading, curvature, length, _ = piece
+def _end(segment: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, heading, curvature, length, _ = segment
     if curvature == 0.0:
         return x + length * np.cos(heading), y + length * np.sin(heading), heading
     end = heading + curvature * length
@@ -134,8 +138,8 @@ def test_planned_routes_are_smooth_and_arrive(name: str) -> None:
     ends = [rng.choice(ordinary, 2) for _ in range(12)]
     wide = np.flatnonzero((graph.right >= 0) & (graph.length > 40.0))
     beside = rng.choice(wide, min(wide.size, 6), replace=False)
-    # Ways that have to change lanes: to the lane beside the one that follows.
-    ends += [np.array([row, graph.right[row]]) for row in beside]
+    # Routes that have to change lanes: to the lane beside the one that follows.
+    ends += [np.array([lane, graph.right[lane]]) for lane in beside]
     changed = 0
     for origin, destination in ends:
         plan = shortest_route(graph, int(origin), int(destination))
@@ -164,40 +168,40 @@ def test_planned_routes_are_smooth_and_arrive(name: str) -> None:
 
 def test_lane_change_leads_from_the_middle_of_one_lane_to_that_of_the_other() -> None:
     graph = GRAPHS["town03"]
-    rows = np.flatnonzero((graph.right >= 0) & (graph.length > 60.0))
-    assert rows.size > 0
-    for row in rows:
-        beside = int(graph.right[row])
-        plan = np.array([row, beside])
+    lanes = np.flatnonzero((graph.right >= 0) & (graph.length > 60.0))
+    assert lanes.size > 0
+    for lane in lanes:
+        beside = int(graph.right[lane])
+        plan = np.array([lane, beside])
         route = Route.planned(graph, plan, 3.0, 55.0)
         across = []
         for position in np.arange(0.0, 50.0, 0.5):
             x, y, heading = route.poses(np.array([position]))[0]
-            s, lateral = lane_project(graph, int(row), x, y)
+            s, lateral = lane_project(graph, int(lane), x, y)
             across.append(lateral)
-            assert np.cos(heading - lane_pose(graph, int(row), s)[2]) > np.cos(0.3)
+            assert np.cos(heading - lane_pose(graph, int(lane), s)[2]) > np.cos(0.3)
         assert across[0] == pytest.approx(0.0, abs=1e-6)
-        width = 0.5 * (graph.width[row] + graph.width[beside])
+        width = 0.5 * (graph.width[lane] + graph.width[beside])
         assert across[-1] == pytest.approx(width, abs=0.1)
         assert np.all(np.diff(across) > -1e-6)
         steps = np.linalg.norm(np.diff(route.waypoints()[:, :2], axis=0), axis=1)
         assert np.all((steps > 4.9) & (steps < 5.0 + 1e-9))
         # The S of two arcs turns no more than a lane change at speed may.
-        assert np.abs(route.pieces[:, 3]).max() < np.abs(graph.curvature[[row, beside]]).max() + 0.02
+        assert np.abs(route.segments[:, 3]).max() < np.abs(graph.curvature[[lane, beside]]).max() + 0.02
 
 
 def test_path_for_the_traffic_names_the_lane_that_is_left_until_its_border_is_crossed() -> None:
     graph = GRAPHS["town03"]
-    row = int(np.flatnonzero((graph.right >= 0) & (graph.length > 60.0))[0])
-    route = Route.planned(graph, np.array([row, graph.right[row]]), 3.0, 55.0)
+    lane = int(np.flatnonzero((graph.right >= 0) & (graph.length > 60.0))[0])
+    route = Route.planned(graph, np.array([lane, graph.right[lane]]), 3.0, 55.0)
     for _ in range(80):
         x, y, _ = route.poses(np.array([route.position + 0.5]))[0]
         route.advance(x, y)
-        lateral = lane_project(graph, row, x, y)[1]
-        if lateral < 0.45 * graph.width[row]:
-            assert route.lanes_ahead[:2].tolist() == [row, graph.right[row]]
-        elif lateral > 0.55 * graph.width[row]:
-            assert route.lanes_ahead[0] == graph.right[row]
+        lateral = lane_project(graph, lane, x, y)[1]
+        if lateral < 0.45 * graph.width[lane]:
+            assert route.lanes_ahead[:2].tolist() == [lane, graph.right[lane]]
+        elif lateral > 0.55 * graph.width[lane]:
+            assert route.lanes_ahead[0] == graph.right[lane]
 
 
 @pytest.mark.parametrize("name", sorted(GRAPHS))
@@ -206,20 +210,20 @@ def test_random_routes_leave_lanes_that_end_and_never_stop(name: str) -> None:
     room = dead_end_distance(graph)
     rng = np.random.default_rng(2)
     ending = np.flatnonzero(np.isfinite(room) & (room > 75.0))
-    rows = [*rng.choice(graph.length.size, 15), *(rng.choice(ending, 10) if ending.size else [])]
-    for row in rows:
-        if room[row] < 75.0:
+    lanes = [*rng.choice(graph.length.size, 15), *(rng.choice(ending, 10) if ending.size else [])]
+    for lane in lanes:
+        if room[lane] < 75.0:
             continue
-        route = Route(graph, int(row), 0.0, rng)
+        route = Route(graph, int(lane), 0.0, rng)
         for _ in range(60):
             assert largest_break(route) < 1e-3
-            assert np.abs(route.pieces[:, 3]).max() < 0.16
+            assert np.abs(route.segments[:, 3]).max() < 0.16
             assert route.starts[-1] - route.position > 75.0
             x, y, _ = route.poses(np.array([route.position + 10.0]))[0]
             route.advance(x, y)
 
 
-def test_dead_end_distance_is_the_way_to_where_all_ways_end() -> None:
+def test_dead_end_distance_is_measured_to_where_all_paths_end() -> None:
     fields = {"length": np.array([10.0, 20.0, 5.0, 7.0]), "successor_start": np.array([0, 2, 3, 3, 4])}
     # 0 leads to 1 and 2, 1 to 2, 2 to nowhere, 3 to itself.
     graph = GRAPHS["town03"]._replace(**fields, successor=np.array([1, 2, 2, 3]))
@@ -229,19 +233,19 @@ def test_dead_end_distance_is_the_way_to_where_all_ways_end() -> None:
 def test_environments_have_routes_of_their_own() -> None:
     graph = GRAPHS["town03"]
     routes = new_routes(graph, 3)
-    for environment, row in enumerate((3, 7, 11)):
-        start(graph, routes, environment, row, 1.0, np.uint64(5), NO_PLAN, 0.0)
-    before = [np.array(Route.of_environment(graph, routes, e).pieces) for e in (0, 2)]
+    for environment, lane in enumerate((3, 7, 11)):
+        start(graph, routes, environment, lane, 1.0, np.uint64(5), NO_PLAN, 0.0)
+    before = [np.array(Route.of_environment(graph, routes, e).segments) for e in (0, 2)]
     middle = Route.of_environment(graph, routes, 1)
     for _ in range(40):
         x, y, _ = middle.poses(np.array([middle.position + 10.0]))[0]
         middle.advance(x, y)
-    for pieces, e in zip(before, (0, 2), strict=True):
-        np.testing.assert_array_equal(Route.of_environment(graph, routes, e).pieces, pieces)
+    for segments, e in zip(before, (0, 2), strict=True):
+        np.testing.assert_array_equal(Route.of_environment(graph, routes, e).segments, segments)
     alone = new_routes(graph, 1)
     start(graph, alone, 0, 7, 1.0, np.uint64(5), NO_PLAN, 0.0)
     again = Route.of_environment(graph, alone, 0)
     for _ in range(40):
         x, y, _ = again.poses(np.array([again.position + 10.0]))[0]
         again.advance(x, y)
-    np.testing.assert_array_equal(again.pieces, middle.pieces)
+    np.testing.assert_array_equal(again.segments, middle.segments)

@@ -1,4 +1,4 @@
-"""The case studies put the ego where something happens, and can be driven."""
+"""The case studies place the ego in the described situation, and can be driven."""
 
 import math
 import re
@@ -17,10 +17,10 @@ TOWN = load_town("town03")
 
 
 def drive(env: TownEnv, seed: int) -> tuple[dict, list[NDArray[np.float64]]]:
-    """Drive an episode with the rule-based driver; the last info, and what of the others was seen.
+    """Drive an episode with the rule-based driver; the last info, and the other vehicles.
 
-    That is float64 [n, 4] at each decision: place ahead and to the right of the ego (m), heading less the
-    ego's (rad) and the vehicle's distance from the ego (m).
+    They are float64 [n, 4] at each decision: position ahead and to the right of the ego (m), heading minus
+    the ego's (rad) and the vehicle's distance from the ego (m).
     """
     env.reset(seed=seed)
     driver, seen = RuleBasedDriver(), []
@@ -49,7 +49,7 @@ def test_rule_based_driver_passes(name: str) -> None:
         assert info["metrics"]["route_completion"] == info["metrics"]["success"] == 1.0, f"seed {seed}"
 
 
-def test_who_is_still_on_the_way_when_the_time_is_up_has_not_succeeded() -> None:
+def test_an_unfinished_route_at_the_time_limit_is_no_success() -> None:
     on_the_way = TownEnv(config={**SCENARIOS["athrl/Roundabout-v0"], "episode_ticks": 50})
     info, _ = drive(on_the_way, 0)
     assert (info["metrics"]["crash"], info["metrics"]["success"]) == (0.0, 0.0)
@@ -90,12 +90,12 @@ def test_ego_turns_left_across_traffic() -> None:
     env = TownEnv(config=SCENARIOS["athrl/UnprotectedLeft-v0"])
     env.reset(seed=0)
     graph, movements = TOWN.graph, TOWN.movements
-    way = next(int(graph.movement[row]) for row in env.route.lanes if graph.movement[row] >= 0)
+    way = next(int(graph.movement[lane]) for lane in env.route.lanes if graph.movement[lane] >= 0)
     assert graph.turn[movements.lane[movements.lane_start[way]]] == TURN_LEFT
     against = movements.conflict[movements.conflict_start[way] : movements.conflict_start[way + 1]]
     origins = {TOWN.road_name[movements.origin[other]] for other in against}
     assert "Market Road" in origins
-    oncoming = {row for row in range(len(TOWN.road_name)) if TOWN.road_name[row] == "Market Road"}
+    oncoming = {lane for lane in range(len(TOWN.road_name)) if TOWN.road_name[lane] == "Market Road"}
     for seed in range(5):
         env.reset(seed=seed)
         there = sum(int(lane) in oncoming for lane in env.road.background.lane)

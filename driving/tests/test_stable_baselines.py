@@ -1,4 +1,4 @@
-"""Stable-Baselines3, which knows nothing of this package, takes the town as it is."""
+"""Stable-Baselines3 works with the town environment without an adapter."""
 
 from __future__ import annotations
 

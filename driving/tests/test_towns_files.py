@@ -44,7 +44,7 @@ def heading(points: np.ndarray, first: int, second: int) -> float:
     return math.atan2(*(points[second] - points[first])[1::-1])
 
 
-def test_the_script_makes_the_files_anew_byte_for_byte(tmp_path: Path) -> None:
+def test_the_script_reproduces_the_files_byte_for_byte(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "towns", "--folder", str(tmp_path)]
     subprocess.run(command, cwd=DRIVING, check=True, capture_output=True)
     for name in NAMES:
@@ -150,7 +150,7 @@ def test_priorities_are_between_roads_of_their_junction(name: str) -> None:
     assert root.find("junction/priority") is not None
 
 
-def test_entries_of_the_roundabout_give_way_and_it_is_driven_counter_clockwise() -> None:
+def test_entries_of_the_roundabout_yield_and_it_is_driven_counter_clockwise() -> None:
     root = DRAWINGS["town03"].root
     ring = {road.get("id"): road for road in root.iterfind("road[@name='circle']")}
     assert len(ring) == 4
@@ -172,9 +172,9 @@ def test_entries_of_the_roundabout_give_way_and_it_is_driven_counter_clockwise()
 def test_the_named_places_are_there() -> None:
     root = DRAWINGS["town03"].root
     (meadow,) = root.iterfind("road[@name='Meadow Road']")
-    (piece,) = meadow.iterfind("planView/geometry")
-    assert piece.find("line") is not None
-    assert float(piece.get("length")) >= 150.0
+    (geometry,) = meadow.iterfind("planView/geometry")
+    assert geometry.find("line") is not None
+    assert float(geometry.get("length")) >= 150.0
     assert sorted(lane.number for lane in driving(DRAWINGS["town03"]) if lane.road == meadow.get("id")) == [
         -1,
         1,

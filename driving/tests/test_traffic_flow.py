@@ -1,4 +1,4 @@
-"""Traffic flows: nobody collides, nobody waits for ever."""
+"""Traffic flows: no vehicle collides, none waits without end."""
 
 from collections.abc import Callable
 
@@ -39,12 +39,12 @@ def test_dense_traffic_does_not_lock_up(name: str) -> None:
 def test_a_standing_ego_is_not_run_over(town: Town, seed: int) -> None:
     """Anywhere: in a street, at a line, in the middle of a junction, across two lanes."""
     random = np.random.default_rng(seed)
-    row = int(random.integers(len(town.graph.length)))
-    x, y, heading = lane_pose(town.graph, row, random.uniform(0.0, town.graph.length[row]))
+    lane = int(random.integers(len(town.graph.length)))
+    x, y, heading = lane_pose(town.graph, lane, random.uniform(0.0, town.graph.length[lane]))
     road = TrafficRoad(town, 150, np_random=random)
     ego = Vehicle(road, (x, y), heading + random.choice([0.0, 0.0, 0.4]), speed=0.0)
     road.vehicles.append(ego)
-    road.ego_path = np.array([row])
+    road.ego_path = np.array([lane])
     road.spawn_background((x, y))
     for _ in range(1200):
         road.act()

@@ -1,11 +1,11 @@
-"""Car-following is highway-env's, and nobody is asked to brake too late."""
+"""Car-following is that of highway-env, and no vehicle has to brake too late."""
 
 import math
 
 import numpy as np
 import pytest
 from athrl_driving.traffic.collision import rectangles_touch
-from athrl_driving.traffic.following import approach_speed, idm_acceleration
+from athrl_driving.traffic.idm import approach_speed, idm_acceleration
 from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
@@ -46,7 +46,7 @@ def test_acceleration_is_that_of_highway_env(
 
 
 @given(distance=st.floats(0.0, 100.0), speed_there=st.floats(0.0, 10.0), deceleration=st.floats(1.0, 6.0))
-def test_who_keeps_the_approach_speed_arrives_slowly_enough(
+def test_a_vehicle_that_keeps_the_approach_speed_arrives_slowly_enough(
     distance: float, speed_there: float, deceleration: float
 ) -> None:
     dt = 0.1

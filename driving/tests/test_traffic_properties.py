@@ -5,15 +5,16 @@ import math
 import numpy as np
 import pytest
 from athrl_driving.maps import Town, lane_pose, load_town
+from athrl_driving.traffic.ego_columns import EGO_SIZE
 from athrl_driving.traffic.flow import overlapping_pairs
 from athrl_driving.traffic.signals import GREEN, RED, light
 from athrl_driving.traffic.spawn import place_vehicles
-from athrl_driving.traffic.state import EGO_FIELDS, Traffic, environment_views, new_traffic
+from athrl_driving.traffic.state import Traffic, environment_views, new_traffic
 from athrl_driving.traffic.tick import tick
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-NO_EGO = np.zeros(EGO_FIELDS)
+NO_EGO = np.zeros(EGO_SIZE)
 NOWHERE = np.full(1, -1)
 RELAXED = settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 
@@ -40,11 +41,11 @@ def test_no_behaviour_of_the_ego_makes_two_background_vehicles_collide(
     traffic = placed(town, vehicles, seed % 1000)
     background = environment_views(traffic, 0).background
     random = np.random.default_rng(seed)
-    row = int(random.integers(len(town.graph.length)))
-    ego = np.zeros(EGO_FIELDS)
-    ego[:3] = lane_pose(town.graph, row, random.uniform(0.0, town.graph.length[row]))
-    ego[4:6], ego[6], ego[7] = (4.9, 2.1), town.graph.elevation[row], 1.0
-    path = np.array([row, -1]) if seed % 2 else NOWHERE
+    lane = int(random.integers(len(town.graph.length)))
+    ego = np.zeros(EGO_SIZE)
+    ego[:3] = lane_pose(town.graph, lane, random.uniform(0.0, town.graph.length[lane]))
+    ego[4:6], ego[6], ego[7] = (4.9, 2.1), town.graph.elevation[lane], 1.0
+    path = np.array([lane, -1]) if seed % 2 else NOWHERE
     for acceleration, turning in moves:
         for _ in range(40):
             tick(traffic, 0, ego, path, 0.1)
@@ -75,11 +76,11 @@ def test_lane_changes_are_smooth_and_stay_between_the_lanes() -> None:
     begun = 0
     for _ in range(900):
         x, y, heading = background.x.copy(), background.y.copy(), background.heading.copy()
-        changing = changes.over > 0.0
+        changing = changes.distance > 0.0
         speed = background.speed.copy()
         tick(traffic, 0, NO_EGO, NOWHERE, 0.1)
-        begun += int((~changing & (changes.over > 0.0)).sum())
-        # No jump: sideways too, nobody moves further than it drives.
+        begun += int((~changing & (changes.distance > 0.0)).sum())
+        # No jump: sideways too, no vehicle moves further than it drives.
         assert (np.hypot(background.x - x, background.y - y) <= 0.1 * speed * 1.2 + 1e-3).all()
         turned = np.abs(np.remainder(background.heading - heading + np.pi, 2 * np.pi) - np.pi)
         assert turned.max() < 0.25
@@ -87,12 +88,12 @@ def test_lane_changes_are_smooth_and_stay_between_the_lanes() -> None:
     assert begun > 10
 
 
-def test_who_drives_over_a_bridge_does_not_see_who_is_under_it() -> None:
+def test_an_ego_on_a_bridge_covers_only_links_of_its_own_level() -> None:
     town = load_town("town04")
     graph = town.graph
     middle = graph.elevation + 0.5 * graph.grade * graph.length
     high = int(np.argmax(middle))
-    poses = np.array([lane_pose(graph, row, 0.5 * graph.length[row]) for row in range(len(graph.length))])
+    poses = np.array([lane_pose(graph, lane, 0.5 * graph.length[lane]) for lane in range(len(graph.length))])
     assert middle[high] > 3.0
     x, y, heading = poses[high]
     ego = np.array([x, y, heading, 0.0, 4.9, 2.1, middle[high], 1.0])
@@ -100,11 +101,11 @@ def test_who_drives_over_a_bridge_does_not_see_who_is_under_it() -> None:
     for elevation, covered in ((middle[high], True), (middle[high] - 5.0, False)):
         ego[6] = elevation
         tick(traffic, 0, ego, NOWHERE, 0.0)
-        link = traffic.rails.link[high]
+        link = traffic.lane_links.link[high]
         assert np.isfinite(traffic.ego_on_links.rear[0, link]) == covered
 
 
-def test_nobody_gets_the_right_to_cross_at_a_light_that_is_not_green() -> None:
+def test_no_movement_is_granted_at_a_light_that_is_not_green() -> None:
     towns = [town for town in map(load_town, ("town02", "town03", "town04")) if len(town.signals.cycle)]
     if not towns:
         pytest.skip("no town of ours has signals")
@@ -112,15 +113,15 @@ def test_nobody_gets_the_right_to_cross_at_a_light_that_is_not_green() -> None:
     traffic = placed(town, 120, 3)
     view = environment_views(traffic, 0)
     granted = view.right_of_way.granted
-    seen, fresh_rights = set(), 0
+    seen, new_grants = set(), 0
     for _ in range(1200):
         before = granted.copy()
-        lights = {m: light.py_func(view, m) for m in np.flatnonzero(traffic.rails.signal >= 0).tolist()}
+        lights = {m: light.py_func(view, m) for m in np.flatnonzero(traffic.lane_links.signal >= 0).tolist()}
         tick(traffic, 0, NO_EGO, NOWHERE, 0.1)
         seen |= set(lights.values())
         for movement in granted[(granted != before) & (granted >= 0)].tolist():
             if movement in lights:
-                fresh_rights += 1
+                new_grants += 1
                 assert lights[movement] == GREEN
     assert {GREEN, RED} <= seen
-    assert fresh_rights > 0
+    assert new_grants > 0

@@ -41,10 +41,10 @@ def test_the_same_seed_gives_the_same_episode(town: Town) -> None:
 def test_looking_changes_nothing(town: Town) -> None:
     def episode(looks: bool) -> np.ndarray:
         road = TrafficRoad(town, 60, np_random=np.random.default_rng(1))
-        row = int(town.movements.origin[0])
-        x, y, heading = lane_pose(town.graph, row, 20.0)
+        lane = int(town.movements.origin[0])
+        x, y, heading = lane_pose(town.graph, lane, 20.0)
         road.vehicles.append(Vehicle(road, (x, y), heading, speed=6.0))
-        road.ego_path = np.array([row, *town.movements.lane[:1]])
+        road.ego_path = np.array([lane, *town.movements.lane[:1]])
         road.spawn_background((x, y))
         for _ in range(100):
             road.act()
@@ -57,8 +57,8 @@ def test_looking_changes_nothing(town: Town) -> None:
 
 
 def test_the_start_of_the_ego_is_clear(town: Town) -> None:
-    row = int(np.argmax(town.graph.length))
-    x, y, _ = lane_pose(town.graph, row, 60.0)
+    lane = int(np.argmax(town.graph.length))
+    x, y, _ = lane_pose(town.graph, lane, 60.0)
     for seed in range(20):
         road = TrafficRoad(town, 300, np_random=np.random.default_rng(seed))
         road.spawn_background(keep_clear_of=(x, y))
@@ -76,19 +76,18 @@ def test_background_vehicles_are_highway_envs(town: Town) -> None:
     road = busy_road(town, 2)
     states(road, 50)
     assert len(road.vehicles) == 100
-    for row, vehicle in enumerate(road.vehicles):
+    for index, vehicle in enumerate(road.vehicles):
         assert isinstance(vehicle, IDMVehicle)
         s, lateral = vehicle.lane.local_coordinates(vehicle.position)
         assert lateral == pytest.approx(0.0, abs=1e-6)
-        assert s == pytest.approx(road.background.s[row], abs=1e-6)
-        assert vehicle.lane_index == town.lane_indices[road.background.lane[row]]
+        assert s == pytest.approx(road.background.s[index], abs=1e-6)
+        assert vehicle.lane_index == town.lane_indices[road.background.lane[index]]
         assert abs(math.remainder(vehicle.heading - vehicle.lane.heading_at(s), 2 * math.pi)) < 1e-6
-        assert vehicle.speed == road.background.speed[row]
+        assert vehicle.speed == road.background.speed[index]
         assert vehicle.polygon().shape == (5, 2)
 
 
-def test_highway_envs_renderer_draws_the_traffic(town: Town, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def test_highway_envs_renderer_draws_the_traffic(town: Town) -> None:
     pygame.init()
     road = busy_road(town, 3)
     surface = WorldSurface((600, 600), 0, pygame.Surface((600, 600)))

@@ -1,7 +1,7 @@
-"""The planners: what decides, how it learns, the replay it learns from, and the artefact it becomes.
+"""The planners: policies, their training, the replay, and the exported artefact.
 
-`planner` and `settings` say what a planner is, `registry` which there are; those need no torch. `networks`,
-`updates` and `replay` are parts that `agent` puts together; `export` makes the artefact. Each planner is a
+`planner` and `settings` define a planner, `registry` lists them; these need no torch. `networks`, `updates`
+and `replay` are parts that `training.agent` puts together; `export` makes the artefact. Each planner is a
 folder: `athrl`, `hddpg`, `ddpg`, `hdqn`.
 """
 
@@ -14,26 +14,26 @@ from athrl_planners.planner import LevelPlan, Planner
 from athrl_planners.registry import UnknownPlanner, planner, planners, settings_tables
 
 if TYPE_CHECKING:
-    from athrl_planners.agent import Agent
-    from athrl_planners.diverged import TrainingDiverged
+    from athrl_planners.errors import TrainingDiverged
     from athrl_planners.export import PolicyExporter
-    from athrl_planners.making import make_agent
-    from athrl_planners.policy import PolicyOutput
+    from athrl_planners.factories import make_agent
     from athrl_planners.replay import Batch, Sequence, SequenceBatch, SequenceReplay, TransitionBatch
+    from athrl_planners.training.agent import Agent
+    from athrl_planners.training.policy import PolicyOutput
 
 _WITH_TORCH = {
-    "Agent": "agent",
+    "Agent": "training.agent",
     "Batch": "replay",
     "PolicyExporter": "export",
-    "PolicyOutput": "policy",
+    "PolicyOutput": "training.policy",
     "Sequence": "replay",
     "SequenceBatch": "replay",
     "SequenceReplay": "replay",
-    "TrainingDiverged": "diverged",
+    "TrainingDiverged": "errors",
     "TransitionBatch": "replay",
-    "make_agent": "making",
+    "make_agent": "factories",
 }
-"""What is loaded when it is asked for."""
+"""Names that are only imported when they are used."""
 
 
 def __getattr__(name: str) -> Any:

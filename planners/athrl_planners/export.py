@@ -1,8 +1,8 @@
-"""The policy artefact: the published policy as one ONNX file that says what it is.
+"""The policy artefact: the published policy as one ONNX file with its description.
 
 Inputs are `image` uint8 [batch, height, width, channels] and `motion` float32 [batch, motion]; for each
-level L `L_state` float32 [batch, state] where it has one (zeros at an episode's start), `L_noise` float32
-[batch, n] where it decides numbers (0: greedy), and `forced_L` float32 [batch, n] (NaN: free). Outputs are
+level L `L_state` float32 [batch, state] if it has a state (zeros at an episode's start), `L_noise` float32
+[batch, n] if it decides numbers (0: greedy), and `forced_L` float32 [batch, n] (NaN: free). Outputs are
 each level's decision L and `next_L_state`. The metadata entry `athrl` is a `PolicyDescription` as JSON.
 """
 
@@ -16,15 +16,15 @@ import torch
 from onnx import ModelProto
 from torch import Tensor, nn
 
-from athrl_planners.agent import Agent
-from athrl_planners.policy import PolicyNetwork
+from athrl_planners.training.agent import Agent
+from athrl_planners.training.policy import PolicyNetwork
 
 METADATA_KEY = "athrl"
 OPSET = 17  # the first with LayerNormalization
 
 
 class PolicyExporter:
-    """Exports the graph once; each artefact is that graph with the weights of the moment."""
+    """Exports the graph once; each artefact is that graph with the current weights."""
 
     def __init__(self, agent: Agent) -> None:
         self._policy = agent.policy
@@ -32,9 +32,9 @@ class PolicyExporter:
         self._graph = _without_weights(set(self._names), graph)
 
     def artefact(self) -> bytes:
-        """The present policy as the bytes of an ONNX file.
+        """The current policy as the bytes of an ONNX file.
 
-        The weights go into a message of the moment: one that lives keeps all that was ever put into it.
+        The weights go into a temporary message: protobuf never frees the fields of a message that is kept.
         """
         state = self._policy.state_dict()
         model = ModelProto.FromString(self._graph)
@@ -46,7 +46,7 @@ class PolicyExporter:
 
 
 class _Flat(nn.Module):
-    """The policy with its inputs and outputs in one row, as a graph has them."""
+    """The policy with flat lists of inputs and outputs, as a graph has them."""
 
     def __init__(self, policy: PolicyNetwork, inputs: list[tuple[str, str]], outputs: list[tuple[str, str]]):
         super().__init__()
@@ -63,7 +63,7 @@ class _Flat(nn.Module):
 
 
 def _export(agent: Agent) -> tuple[dict[str, str], ModelProto]:
-    """The graph, checked, and for each of its weights the name in the policy's state."""
+    """The checked graph, and for each of its weights the name in the policy's state."""
     levels = agent.description.levels
     inputs, names, sizes = [], [], []
     for level, trained in zip(levels, agent.state.levels, strict=True):
@@ -87,9 +87,9 @@ def _export(agent: Agent) -> tuple[dict[str, str], ModelProto]:
     rest = [torch.zeros((2, size), device=agent.device) for size in sizes]
     file = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
-        # The exporter by tracing: it starts in a tenth of a second where the newer one takes many. In the
-        # mode of training, since it otherwise makes one of weights that happen to be equal, as all fresh
-        # normalisations are. For these networks the modes differ in nothing else.
+        # The exporter by tracing: it starts in a tenth of a second, the newer one in several seconds. In
+        # training mode, since otherwise it merges weights that happen to be equal, as those of all new
+        # normalisations are. For these networks the modes do not differ otherwise.
         warnings.simplefilter("ignore")
         torch.onnx.export(
             _Flat(agent.policy, inputs, outputs).train(),

@@ -1,8 +1,8 @@
-"""What a planner says of itself. Everything else in the project follows from it.
+"""The definition of a planner, from which everything else in the project follows.
 
-A planner is a class derived from `Planner`, in a folder or file of its own, and one line in
-`athrl_planners.registry` (or an entry point of the group `athrl.planners` in a package of yours). No torch
-here, nor in the modules that define planners: the command lists and checks planners without it.
+A planner is a class derived from `Planner`, in its own folder or file, and one line in
+`athrl_planners.registry` (or an entry point of the group `athrl.planners` in another package). This module
+and the modules that define planners do not import torch: the command lists and checks planners without it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from athrl_spaces.action_kinds import action_kind
 from athrl_planners.settings import PlannerSettings
 
 View = Literal["everything", "near route", "far route"]
-"""What a level sees: all of it; the route only close to the car; or road and route alone."""
+"""What a level sees: everything; the route only near the ego; or only road and route."""
 
 
 @dataclass(frozen=True)
@@ -26,17 +26,17 @@ class LevelPlan:
 
     Attributes:
         name: of the level.
-        actions: what it decides, with its exploration; it sees what the levels above have decided.
+        actions: what it decides, with its exploration; it sees the decisions of the levels above.
         update_rule: `ddpg`, `td3` or `sac` for numbers, `dqn` for a choice.
-        every: it decides every so many decisions, and holds in between.
+        every: number of decisions for which it holds its own decision.
         view: what it sees.
         gradient_from_below: weight of the next level's value in this level's actor's objective (paper,
             "Hierarchical Off-Policy Actor-Critic").
-        head_features: width of the hidden layers of its actor and critics; 0: what the settings say.
-        rewarded: names of the terms of the reward that it is paid (`athrl_spaces.REWARD_TERMS`); empty: all
-            of them, the task's reward.
-        value_from: what its critics learn; experience: its rewards and its own next value; below: what the
-            next level's critics say of that level's decision, in which that level's noise does not count.
+        head_features: width of the hidden layers of its actor and critics; 0: as in the settings.
+        rewarded: names of its reward terms (`athrl_spaces.REWARD_TERMS`); empty: all of them, the task's
+            reward.
+        value_from: target of its critics; experience: its rewards and its own next value; below: the value
+            of the next level's critics for that level's own decision, without that level's noise.
     """
 
     name: str
@@ -65,8 +65,8 @@ class Planner:
     Attributes:
         kind: its name in run files, artefacts and checkpoints.
         summary: one line for lists and for the run file's comment.
-        settings: its table of settings.
-        action_kind: what an environment takes of it, one of `athrl_spaces.ACTION_KINDS`.
+        settings: class of its settings.
+        action_kind: kind of its actions in an environment, one of `athrl_spaces.ACTION_KINDS`.
     """
 
     kind: ClassVar[str]
@@ -76,16 +76,16 @@ class Planner:
 
     @classmethod
     def levels(cls, settings: Any, limits: Limits) -> tuple[LevelPlan, ...]:
-        """The levels, highest first, under these settings and in environments with these limits."""
+        """The levels, highest first, for these settings and limits of environments."""
         raise NotImplementedError
 
     @classmethod
     def read_settings(cls, values: Mapping[str, Any]) -> PlannerSettings:
-        """The settings with these values and defaults for the others; raises pydantic's ValidationError."""
+        """The settings with these values, else defaults; raises pydantic's ValidationError."""
         return cls.settings.model_validate(dict(values))
 
     @classmethod
     def actions(cls, limits: Limits, exploration: Noise | Sampled | Epsilon) -> tuple[Action, ...]:
-        """The entries that an environment takes, each explored like this."""
+        """The entries that an environment takes, each with this exploration."""
         change: Any = {"exploration": exploration}
         return tuple(replace(action, **change) for action in action_kind(cls.action_kind).describe(limits))

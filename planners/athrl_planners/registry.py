@@ -1,6 +1,7 @@
-"""The planners by name: those of this package, and those that installed packages bring along.
+"""The planners by name: those of this package, and those of other installed packages.
 
-A planner of yours needs no change here. Its package names it as an entry point, in its `pyproject.toml`:
+A planner in another package needs no change here. Its package declares an entry point in its
+`pyproject.toml`:
 
     [project.entry-points."athrl.planners"]
     mine = "my_package.my_planner:MyPlanner"
@@ -28,7 +29,7 @@ PLANNERS: dict[str, str] = {
 
 
 class UnknownPlanner(ValueError):  # noqa: N818  (the name says what it is)
-    """There is no planner of that name, or none that can be used; the text is one line for the user."""
+    """There is no planner of that name, or it cannot be used; the text is one line for the user."""
 
 
 @cache
@@ -36,7 +37,7 @@ def planners() -> Mapping[str, type[Planner]]:
     """Every planner by its kind.
 
     Raises:
-        UnknownPlanner: an installed package names one that cannot be loaded.
+        UnknownPlanner: a planner of an installed package cannot be loaded.
     """
     places = dict(PLANNERS)
     for point in entry_points(group=ENTRY_POINTS):

@@ -1,8 +1,8 @@
-"""The settings of planners: what each part can be told, with default, unit, bounds and meaning.
+"""The settings of planners with default, unit, bounds and meaning.
 
-A planner's table is a class put together from these parts (`athrl_planners.athrl.AtHRLSettings`, ...). The
-run file's section `[planner]`, its comments, its errors and the reference page follow from it. No torch
-here: the command reads run files without it.
+The settings of a planner are a class derived from these (`athrl_planners.athrl.AtHRLSettings`, ...). The run
+file's section `[planner]`, its comments, its errors and the reference page follow from it. This module does
+not import torch: the command reads run files without it.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class PlannerSettings(BaseModel):
-    """How a planner is built and learns; unknown keys and wrong types are refused."""
+    """Networks and training of a planner; unknown keys and wrong types are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     # networks
     encoder: Literal["small", "paper"] = Field(
         default="small",
-        description="Of the image; small: three convolutions of 16, 32, 64 channels; paper: a tower of five "
+        description="Image encoder; small: three convolutions of 16, 32, 64 channels; paper: a tower of five "
         "for the bird's eye view and one for the lidar.",
     )
     hidden_features: int = Field(
@@ -31,7 +31,7 @@ class PlannerSettings(BaseModel):
         default=256, ge=8, le=2048, description="Width of the hidden layers of actors and critics."
     )
     memory: Literal["none", "lstm"] = Field(
-        default="none", description="What the planner remembers; lstm is the paper."
+        default="none", description="Memory of the planner; lstm is the paper."
     )
     recurrent_features: int = Field(default=64, ge=4, le=1024, description="Units of the LSTM.")
     shared_trunk: bool = Field(
@@ -45,17 +45,17 @@ class PlannerSettings(BaseModel):
         default=3,
         ge=1,
         le=64,
-        description="Decisions whose rewards are summed before a target relies on a value; 1 is the paper.",
+        description="Rewards summed before the target value (n-step returns); 1 is the paper.",
     )
     reward_scale: float = Field(
-        default=0.02, gt=0, le=1000, description="Factor on rewards before they reach the critics."
+        default=0.02, gt=0, le=1000, description="Factor on the rewards of the critics."
     )
     end_penalty: float = Field(
         default=16.0,
         ge=0,
         le=10_000,
-        description="Extra cost, in scaled reward, of an episode that ends by collision or lane exit; for "
-        "training only. 0 is the paper.",
+        description="Extra cost, in scaled reward, of an episode that ends by collision or lane exit; only "
+        "for training. 0 is the paper.",
     )
     critic: Literal["distributional", "scalar"] = Field(
         default="distributional",
@@ -65,7 +65,7 @@ class PlannerSettings(BaseModel):
         default=2,
         ge=1,
         le=2,
-        description="Critics of a level; of two the smaller value counts. 1: the paper.",
+        description="Critics of a level; with two the smaller value counts. 1: the paper.",
     )
     atoms: int = Field(default=101, ge=3, le=1001, description="Values in a distributional critic's support.")
     value_min: float = Field(
@@ -76,7 +76,7 @@ class PlannerSettings(BaseModel):
     )
     loss: Literal["squared", "huber"] = Field(
         default="squared",
-        description="Of a scalar critic's error; squared is the paper, huber its authors' code.",
+        description="Loss of a scalar critic; squared is the paper, huber its authors' code.",
     )
 
     # learning
@@ -87,27 +87,27 @@ class PlannerSettings(BaseModel):
         default=0.1,
         ge=0,
         le=1,
-        description="Share of the step size that is left at the run's end; it falls linearly. 1: the paper.",
+        description="Factor on the step size at the end of the run; it falls linearly from 1. 1: the paper.",
     )
     tau: float = Field(
         default=0.05,
         gt=0,
         le=1,
-        description="Share of the online weights that the target networks take at each update; 0.005 is the "
-        "paper, and too slow for runs of some thousand updates.",
+        description="Target networks: weight of the online networks in each soft update; 0.005 is the paper, "
+        "and too slow for runs of some thousand updates.",
     )
     gradient_norm: float = Field(
-        default=10.0, gt=0, le=1e9, description="Gradients are clipped to this norm."
+        default=10.0, gt=0, le=1e9, description="Norm to which gradients are clipped."
     )
     average_decay: float = Field(
         default=0.95,
         ge=0,
         lt=1,
-        description="Decay of the averaged weights that are published; 0 publishes the newest.",
+        description="Decay of the moving average of weights that is published; 0: the newest weights.",
     )
     mirror: bool = Field(
         default=False,
-        description="Exchange left and right in half of what is trained on; only without memory.",
+        description="Exchange left and right in half of each batch; only without memory.",
     )
 
     @model_validator(mode="after")
@@ -126,12 +126,12 @@ class PlannerSettings(BaseModel):
 
 
 class ActorCriticSettings(PlannerSettings):
-    """Of planners whose levels decide numbers: an actor climbs what critics predict."""
+    """Settings of actor-critic planners, whose levels decide numbers."""
 
     update_rule: Literal["ddpg", "td3", "sac"] = Field(
         default="td3",
-        description="How actors learn; ddpg is the paper; td3: delayed actors and smoothed target actions; "
-        "sac: random actors with an entropy bonus.",
+        description="Update rule; ddpg is the paper; td3: policy delay and target policy smoothing; sac: "
+        "stochastic actors with an entropy bonus.",
     )
     saturation_penalty: float = Field(
         default=0.02,
@@ -144,26 +144,26 @@ class ActorCriticSettings(PlannerSettings):
         default=1.1,
         ge=1,
         le=10,
-        description="With ddpg and td3: factor on an actor's tanh before it is cut to its range; above 1 the "
-        "ends of a range can be decided, such as to stand still. 1 is the paper.",
+        description="With ddpg and td3: factor on an actor's tanh before it is clipped to its range; above 1 "
+        "the ends of a range can be reached, for instance a speed of 0. 1 is the paper.",
     )
     td3_actor_delay: int = Field(
-        default=2, ge=1, le=1000, description="With td3: critic updates for each actor update."
+        default=2, ge=1, le=1000, description="With td3: policy delay, critic updates for each actor update."
     )
     td3_target_noise: float = Field(
         default=0.1,
         ge=0,
         le=2,
-        description="With td3: deviation of the noise on target actions, half-ranges.",
+        description="With td3: target policy smoothing, deviation of the noise, half-ranges.",
     )
     sac_temperature: float = Field(
-        default=0.1, gt=0, le=100, description="With sac: weight of the entropy at the beginning."
+        default=0.1, gt=0, le=100, description="With sac: initial temperature, the weight of the entropy."
     )
     sac_target_entropy: float = Field(
         default=-1.0,
         ge=-20,
         le=2,
-        description="With sac: entropy of each decided number that the temperature is tuned for.",
+        description="With sac: target entropy of each decided number.",
     )
     noise_low: float = Field(
         default=0.05,
@@ -176,13 +176,13 @@ class ActorCriticSettings(PlannerSettings):
         default=0.4,
         ge=0,
         le=2,
-        description="The same in its last one; those between lie evenly between. Both 0.2 is the paper.",
+        description="The same in its last environment; evenly spaced in between. Both 0.2 is the paper.",
     )
     noise_damping: float = Field(
         default=0.15,
         gt=0,
         le=1,
-        description="Share of the noise that is forgotten at each decision; 1: independent of the last one.",
+        description="Damping of the noise per decision; 1: independent noise.",
     )
 
     @model_validator(mode="after")
@@ -196,32 +196,32 @@ class ActorCriticSettings(PlannerSettings):
 
     @property
     def noise(self) -> Noise | Sampled:
-        """How actors explore."""
+        """Exploration noise of actors."""
         if self.update_rule == "sac":
             return Sampled()
         return Noise(self.noise_low, self.noise_high, self.noise_damping)
 
 
 class QLearningSettings(PlannerSettings):
-    """Of planners whose levels choose: the choice with the highest value is taken."""
+    """Settings of Q-learning planners, whose levels take the choice with the highest value."""
 
     double: bool = Field(
         default=True,
-        description="The online network chooses the action whose target value counts (double DQN); false is "
-        "the paper.",
+        description="Double DQN: the online network chooses the action for the target value; false is the "
+        "paper.",
     )
     dueling: bool = Field(
         default=True,
-        description="Values are a state's value and the choices' advantages; false is the paper.",
+        description="Dueling heads: value of the state and advantages of choices; false is the paper.",
     )
     epsilon_low: float = Field(
         default=0.02,
         ge=0,
         le=1,
-        description="Share of random choices in an actor's first environment.",
+        description="Share of random choices (epsilon) in an actor's first environment.",
     )
     epsilon_high: float = Field(
-        default=0.2, ge=0, le=1, description="The same in its last one. Both 0.05 is the paper."
+        default=0.2, ge=0, le=1, description="The same in its last environment. Both 0.05 is the paper."
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Small planners and made-up experience for the tests of this room."""
+"""Small planners and synthetic experience for the tests of this package."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from athrl_planners import Agent, Sequence, SequenceBatch, SequenceReplay, make_agent, planners
-from athrl_planners.making import make_replay
+from athrl_planners.factories import make_replay
 from athrl_spaces import Continuous, LevelDescription, Observation
 
 TIME = 5

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from athrl_planners import Agent, Sequence, SequenceReplay, TransitionBatch
-from athrl_planners.mirror import mirrored
+from athrl_planners.training.mirror import mirrored
 
 Arrays = dict[str, np.ndarray]
 ROWS = 40

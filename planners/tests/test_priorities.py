@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from athrl_planners import Agent, Sequence, SequenceReplay
-from athrl_planners.making import make_replay
+from athrl_planners.factories import make_replay
 from athrl_planners.replay.sampling import SMALLEST_PRIORITY, PrioritisedSampler
 from athrl_planners.replay.sum_tree import SumTree
 from hypothesis import given, settings
@@ -77,12 +77,12 @@ def filled(errors: list[float], exponent: float = 1.0, importance: float = 0.5) 
     sampler = PrioritisedSampler(len(errors), exponent, importance)
     places = np.arange(len(errors))
     sampler.put(places, np.ones(len(errors), bool))
-    sampler.learnt(places, np.float32(errors))
+    sampler.update_priorities(places, np.float32(errors))
     return sampler
 
 
 @pytest.mark.parametrize("exponent", [0.0, 0.6, 1.0])
-def test_pieces_are_drawn_in_proportion_to_their_errors(exponent: float) -> None:
+def test_items_are_drawn_in_proportion_to_their_errors(exponent: float) -> None:
     errors = np.array([0.5, 1.0, 2.0, 8.0])
     sampler = filled(list(errors), exponent)
     random = np.random.default_rng(1)
@@ -100,7 +100,7 @@ def test_importance_weighs_against_being_drawn_more_often(importance: float) -> 
     priorities = errors + SMALLEST_PRIORITY
     expected = (priorities[0] / priorities[places]) ** importance
     np.testing.assert_allclose(weights, expected, rtol=1e-5)
-    if importance == 1:  # then each piece counts as often as if all were drawn evenly
+    if importance == 1:  # then each item counts as often as with uniform sampling
         counted = np.bincount(places, weights=weights)
         np.testing.assert_allclose(counted / counted.sum(), 0.25, atol=0.02)
 
@@ -122,7 +122,7 @@ def test_what_is_new_has_the_highest_priority_so_far() -> None:
 def test_what_is_not_stored_gets_no_priority() -> None:
     sampler = filled([1.0, 1.0])
     sampler.put(np.array([1]), np.zeros(1, bool))
-    sampler.learnt(np.array([0, 1]), np.float32([2, 2]))
+    sampler.update_priorities(np.array([0, 1]), np.float32([2, 2]))
     assert sampler.state()["priorities"][1] == 0
 
 
@@ -141,7 +141,7 @@ def test_what_is_overwritten_is_gone(agent: Agent, new_sequence: Sequences) -> N
     for seed in range(2):
         replay.insert(new_sequence(agent, seed))
     batch = replay.sample(200)
-    replay.learnt(batch, np.full(len(batch.places), 1e4, np.float32))
+    replay.update_priorities(batch, np.full(len(batch.places), 1e4, np.float32))
     replay.insert(new_sequence(agent, 7, length=1))
     drawn = replay.sample(400)
     first = drawn.places // (1 if agent.has_memory else 5) == 0
@@ -153,7 +153,7 @@ def test_what_is_overwritten_is_gone(agent: Agent, new_sequence: Sequences) -> N
     assert (seen[first] == expected).all()
 
 
-def test_pieces_with_large_errors_are_found_often(agent: Agent, new_sequence: Sequences) -> None:
+def test_items_with_large_errors_are_found_often(agent: Agent, new_sequence: Sequences) -> None:
     """As the few true ends among many decisions that were foreseen."""
     replay = prioritised(agent, slots=40)
     for seed in range(40):
@@ -161,11 +161,11 @@ def test_pieces_with_large_errors_are_found_often(agent: Agent, new_sequence: Se
     for _ in range(40):
         batch = replay.sample(100)
         ends = batch.terminated if agent.has_memory else batch.terminated[0] & (batch.step == 4)
-        replay.learnt(batch, np.where(ends, 16.0, 0.01).astype(np.float32))
+        replay.update_priorities(batch, np.where(ends, 16.0, 0.01).astype(np.float32))
     batch = replay.sample(1000)
     ends = batch.terminated if agent.has_memory else batch.terminated[0] & (batch.step == 4)
-    pieces = 40 if agent.has_memory else 200
-    assert ends.mean() > 10 / pieces
+    items = 40 if agent.has_memory else 200
+    assert ends.mean() > 10 / items
     assert batch.weights[ends].max() < batch.weights[~ends].min()
 
 
@@ -176,7 +176,7 @@ def test_restored_replay_draws_the_same(agent: Agent, new_sequence: Sequences) -
         replay.insert(sequence)
     random = np.random.default_rng(3)
     batch = replay.sample(50)
-    replay.learnt(batch, random.random(len(batch.places)).astype(np.float32))
+    replay.update_priorities(batch, random.random(len(batch.places)).astype(np.float32))
     restored = prioritised(agent, seed=9)
     restored.load_state(replay.state(), sequences[-4:])
     restored.load_priorities(replay.priorities())
@@ -186,8 +186,8 @@ def test_restored_replay_draws_the_same(agent: Agent, new_sequence: Sequences) -
         one, other = replay.sample(50), restored.sample(50)
         np.testing.assert_equal(vars(other), vars(one))
         errors = random.random(len(one.places)).astype(np.float32)
-        replay.learnt(one, errors)
-        restored.learnt(other, errors)
+        replay.update_priorities(one, errors)
+        restored.update_priorities(other, errors)
 
 
 def test_priorities_of_another_replay_leave_everything_to_be_drawn(
@@ -211,7 +211,7 @@ def test_even_replay_ignores_errors_and_priorities(agent: Agent, new_sequence: S
     replay = make_replay(agent, 20, 5, seed=1)
     replay.insert(new_sequence(agent, 1))
     batch = replay.sample(10)
-    replay.learnt(batch, np.full(len(batch.places), 9.0, np.float32))
+    replay.update_priorities(batch, np.full(len(batch.places), 9.0, np.float32))
     assert replay.priorities() == {}
     replay.load_priorities(prioritised(agent).priorities())
     assert (replay.sample(10).weights == 1).all()
@@ -222,7 +222,7 @@ def test_importance_reaches_the_loss(new_agent: Agents, new_sequence: Sequences)
     replay = prioritised(agent)
     replay.insert(new_sequence(agent, 1))
     batch = replay.sample(5)
-    replay.learnt(batch, np.float32([8, 1, 1, 1, 1]))
+    replay.update_priorities(batch, np.float32([8, 1, 1, 1, 1]))
     batch = replay.sample(20)
     weights = agent.prepare(batch).levels["trajectory"].weights.numpy()
     np.testing.assert_allclose(weights, batch.weights / batch.weights.sum(), rtol=1e-5)

@@ -143,15 +143,15 @@ def marked(agent: Agent, new_sequence: Callable[..., Sequence], mark: int, lengt
 
 
 @pytest.mark.parametrize("memory", ["none", "lstm"])
-def test_defect_7_training_glues_unrelated_pieces_together(
+def test_defect_7_training_joins_unrelated_sequences(
     new_agent: Callable[..., Agent],
     new_sequence: Callable[..., Sequence],
     replay_of: Callable[..., SequenceReplay],
     memory: str,
 ) -> None:
     agent = new_agent(memory=memory, n_step=3)
-    pieces = [marked(agent, new_sequence, mark, 1 + mark % 5) for mark in range(1, 9)]
-    batch = replay_of(agent, pieces).sample(400)
+    stored = [marked(agent, new_sequence, mark, 1 + mark % 5) for mark in range(1, 9)]
+    batch = replay_of(agent, stored).sample(400)
     if isinstance(batch, SequenceBatch):
         marks = batch.images[:, 0, 0, 0, 0]
         assert (batch.images == marks.reshape(-1, 1, 1, 1, 1)).all()

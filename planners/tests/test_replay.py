@@ -139,14 +139,14 @@ def test_transitions_are_counted_without_padding(
     assert replay.sequences == 3
 
 
-def test_pieces_are_drawn_evenly(make_replay: MakeReplay, make_sequence: MakeSequence) -> None:
+def test_items_are_sampled_evenly(make_replay: MakeReplay, make_sequence: MakeSequence) -> None:
     replay = make_replay()
     for seed in range(4):
         replay.insert(make_sequence(seed, length=1 + seed))
     places = replay.sample(40_000).places
-    pieces = len(replay) if len(places) == 40_000 else 4
+    items = len(replay) if len(places) == 40_000 else 4
     _, counts = np.unique(places, return_counts=True)
-    assert len(counts) == pieces
+    assert len(counts) == items
     assert counts.min() > 0.85 * counts.mean()
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from athrl_planners import Agent, Sequence, SequenceReplay, make_agent
-from athrl_planners.making import make_replay
+from athrl_planners.factories import make_replay
 from athrl_spaces import Continuous, Discrete, LevelDescription, Observation, Sampled
 
 ROWS, EPISODE = 16, 6
@@ -157,16 +157,16 @@ def learn(kind: str, settings: dict[str, Any], once: bool, enough: float, seed: 
     drive = Drive(agent, Signs(agent, once, seed), seed)
     for _ in range(10):
         drive.episode(anything, replay)
-    learnt = 0.0
+    mean_return = 0.0
     for number in range(1, 101):
         drive.episode(explored, replay)
         for _ in range(8):
             agent.update(replay.sample(96))
         if number % 5 == 0:
-            learnt = float(np.mean([drive.episode() for _ in range(8)]))
-            if learnt > enough:
-                return learnt, number
-    return learnt, 101
+            mean_return = float(np.mean([drive.episode() for _ in range(8)]))
+            if mean_return > enough:
+                return mean_return, number
+    return mean_return, 101
 
 
 LOOKING: list[tuple[str, dict[str, Any]]] = [

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 from athrl_planners import Agent, Sequence, SequenceBatch, SequenceReplay
-from athrl_planners.level import Level
 from athrl_planners.networks import as_pixels
+from athrl_planners.training.level import Level
 
 FAR = -500.0
 PLAIN = {
@@ -59,7 +59,7 @@ def contexts_of(agent: Agent, sequence: Sequence, level: str) -> torch.Tensor:
 
 @torch.no_grad()
 def decide_and_value(level: Level, context: torch.Tensor, above: torch.Tensor) -> tuple[torch.Tensor, float]:
-    """A target actor's decision [n] for one context, normalised, and what the target critic says of it."""
+    """A target actor's decision [n] for one context, normalised, and the target critic's value of it."""
     action = (1.1 * torch.tanh(level.target.actor(context[None], above[None]))).clamp(-1, 1)
     value = level.target.critics[0](context[None], above[None], action)
     return action[0], float(value)
@@ -112,9 +112,9 @@ def test_targets_of_one_level(
 ) -> None:
     agent = new_agent(kind, n_step=n_step, memory=memory, **PLAIN)
     spread(agent)
-    pieces, level = sequences(agent), agent.state.levels[0]
+    stored, level = sequences(agent), agent.state.levels[0]
     expected = {}
-    for slot, sequence in enumerate(pieces):
+    for slot, sequence in enumerate(stored):
         contexts = contexts_of(agent, sequence, level.name)
         values = [decide_and_value(level, context, torch.zeros(0))[1] for context in contexts]
         targets = [
@@ -124,13 +124,13 @@ def test_targets_of_one_level(
             expected[slot] = max(targets)
         else:
             expected |= {5 * slot + step: target for step, target in enumerate(targets)}
-    assert told_targets(agent, replay_of(agent, pieces), 0) == pytest.approx(expected, abs=2e-3)
+    assert told_targets(agent, replay_of(agent, stored), 0) == pytest.approx(expected, abs=2e-3)
 
 
 def test_distributional_target_has_the_mean_of_the_scalar_one(
     new_agent: NewAgent, replay_of: ReplayOf, new_sequence: NewSequence
 ) -> None:
-    """Inside the support; here with what is said of everything in place of values."""
+    """Inside the support; here with constant critics in place of values."""
     settings: dict[str, Any] = {**PLAIN, "n_step": 3, "atoms": 51, "value_min": -40, "value_max": 40}
     means = []
     for critic in ("scalar", "distributional"):
@@ -161,9 +161,9 @@ def test_targets_of_the_trajectory_planner_under_a_held_intention(
 ) -> None:
     agent = new_agent(n_step=n_step, intention_every=every, shared_trunk=shared_trunk, **HELD)
     spread(agent)
-    pieces, (high, low) = sequences(agent), agent.state.levels
+    stored, (high, low) = sequences(agent), agent.state.levels
     expected = {}
-    for slot, sequence in enumerate(pieces):
+    for slot, sequence in enumerate(stored):
         above, below = (contexts_of(agent, sequence, level.name) for level in (high, low))
         values = [0.0]
         for step in range(1, sequence.length + 1):
@@ -174,7 +174,7 @@ def test_targets_of_the_trajectory_planner_under_a_held_intention(
             values.append(decide_and_value(low, below[step], intention)[1])
         for step in range(sequence.length):
             expected[5 * slot + step] = horizon_target(sequence, "trajectory", step, n_step, values)
-    assert told_targets(agent, replay_of(agent, pieces), 1) == pytest.approx(expected, abs=2e-3)
+    assert told_targets(agent, replay_of(agent, stored), 1) == pytest.approx(expected, abs=2e-3)
 
 
 @pytest.mark.parametrize("memory", ["none", "lstm"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from athrl_planners import Agent, LevelPlan, Sequence, SequenceReplay
-from athrl_planners.losses import critic_loss, joined
+from athrl_planners.training.losses import critic_loss, joined
 from athrl_spaces import Continuous
 from pydantic import ValidationError
 
@@ -38,7 +38,7 @@ def test_target_is_the_smaller_trajectory_critics_value_of_its_own_decision(
     data, state = agent.prepare(batch), agent.state
     intention, trajectory = state.levels
     with torch.no_grad():
-        context = data.frames.now(state.trunk("trajectory"), None)
+        context = data.frames.current(state.trunk("trajectory"), None)
         taken = data.levels["intention"].taken
         actor = trajectory.online.actor
         assert actor is not None

@@ -1,6 +1,5 @@
-"""What the services of a run say to each other: messages, keys, sessions, delivery, the run file."""
+"""Communication between the services of a run: messages, keys, sessions, delivery, the run file."""
 
-from athrl_protocol.address import complete_address
 from athrl_protocol.announcements import (
     EvaluationPublisher,
     EvaluationResult,
@@ -15,8 +14,17 @@ from athrl_protocol.announcements import (
     fetch_run_file,
     serve_run_file,
 )
-from athrl_protocol.chunk import Chunk, LevelColumns, check_chunk
-from athrl_protocol.chunk_codec import decode_chunk, encode_chunk
+from athrl_protocol.announcements.joining import join_run
+from athrl_protocol.announcements.latest_value import LatestPublisher, LatestSubscriber
+from athrl_protocol.announcements.live_frames import FramePublisher, FrameSubscription, subscribe_frames
+from athrl_protocol.announcements.metrics import MetricsPublisher, MetricsReport, MetricsSubscriber
+from athrl_protocol.announcements.presence import Presence, PresenceWatcher, announce_presence
+from athrl_protocol.announcements.rivals import RivalWatch
+from athrl_protocol.codec.chunks import decode_chunk, encode_chunk
+from athrl_protocol.delivery.intake import ChunkIntake, IntakeStatistics
+from athrl_protocol.delivery.receiver import IntakeBusy, IntakeFinished
+from athrl_protocol.delivery.upload import ChunkUploader
+from athrl_protocol.delivery.upload_window import UploadStatistics
 from athrl_protocol.errors import (
     AddressInUse,
     BackgroundFailed,
@@ -28,20 +36,13 @@ from athrl_protocol.errors import (
     RunFileError,
     RunNotFound,
 )
-from athrl_protocol.frame import Frame, Point, Vehicle, decode_frame, encode_frame
-from athrl_protocol.intake import ChunkIntake, IntakeStatistics
-from athrl_protocol.joining import join_run
-from athrl_protocol.keys import Keys, check_name, new_incarnation
-from athrl_protocol.live import FramePublisher, FrameSubscription, subscribe_frames
-from athrl_protocol.metrics import MetricsPublisher, MetricsReport, MetricsSubscriber
-from athrl_protocol.newest import NewestPublisher, NewestSubscriber
-from athrl_protocol.presence import Presence, PresenceWatcher, announce_presence
-from athrl_protocol.receiver import IntakeBusy, IntakeFinished
+from athrl_protocol.messages.chunk import Chunk, LevelColumns, check_chunk
+from athrl_protocol.messages.frame import Frame, Point, Vehicle, decode_frame, encode_frame
+from athrl_protocol.messages.keys import Keys, check_name, new_incarnation
+from athrl_protocol.messages.schema import SCHEMA_HASH, SCHEMA_VERSION
 from athrl_protocol.run_file import RunFile, default_toml, read_run_file, to_toml
-from athrl_protocol.schema import SCHEMA_HASH, SCHEMA_VERSION
-from athrl_protocol.session import open_session
-from athrl_protocol.upload import ChunkUploader
-from athrl_protocol.upload_window import UploadStatistics
+from athrl_protocol.transport.address import complete_address
+from athrl_protocol.transport.session import open_session
 
 __all__ = [
     "SCHEMA_HASH",
@@ -62,14 +63,14 @@ __all__ = [
     "IntakeStatistics",
     "InvalidMessage",
     "Keys",
+    "LatestPublisher",
+    "LatestSubscriber",
     "LearnerNotFound",
     "LevelColumns",
     "MetricsPublisher",
     "MetricsReport",
     "MetricsSubscriber",
     "NameTaken",
-    "NewestPublisher",
-    "NewestSubscriber",
     "NotAdmitted",
     "Phase",
     "Point",
@@ -79,6 +80,7 @@ __all__ = [
     "Presence",
     "PresenceWatcher",
     "ProtocolError",
+    "RivalWatch",
     "RunFile",
     "RunFileError",
     "RunNotFound",

@@ -1,18 +1,18 @@
-"""What can go wrong between services; the text of each error is one line that says what to do."""
+"""Errors between services; the text of each is one line that says what to do."""
 
 from __future__ import annotations
 
 
 class ProtocolError(Exception):
-    """Base of this room's errors."""
+    """Base of this package's errors."""
 
 
 class AddressInUse(ProtocolError):  # noqa: N818 - the names say what happened, as in the standard library
-    """Another process listens at the address already."""
+    """Another process already listens at the address."""
 
 
 class LearnerNotFound(ProtocolError):  # noqa: N818
-    """Nobody answers at the address."""
+    """No learner answers at the address."""
 
 
 class NotAdmitted(ProtocolError):  # noqa: N818
@@ -32,14 +32,14 @@ class RunFileError(ProtocolError):
 
 
 class BackgroundFailed(ProtocolError):  # noqa: N818
-    """A thread or a callback of this process raised an exception, the cause: a bug, or no memory."""
+    """A thread or a callback of this process raised an exception (the cause): a bug, or lack of memory."""
 
 
 class InvalidMessage(ProtocolError):  # noqa: N818
-    """A message from outside is not what it should be.
+    """A received message is not valid.
 
     Attributes:
-        reason: one word for counting: schema, malformed, size, shape, value, images or checksum.
+        reason: one word for counting: schema, malformed, size, shape, value, images, checksum or incarnation.
     """
 
     def __init__(self, reason: str, text: str) -> None:

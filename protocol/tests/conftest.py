@@ -1,9 +1,8 @@
-"""What the protocol's tests share: free addresses, sessions that are closed, and chunks with content."""
+"""What the protocol's tests share: another address, sessions that are closed, and chunks with content."""
 
 from __future__ import annotations
 
 import contextlib
-import socket
 import time
 from collections.abc import Callable, Iterator
 
@@ -17,16 +16,9 @@ from athrl_protocol.run_file import declare_planners, declared_planners
 PATIENCE = 30.0
 
 
-def free_address() -> str:
-    """Return one at which nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
 @pytest.fixture(autouse=True)
 def no_planners() -> Iterator[None]:
-    """Nobody has declared planners, and what a test declares is gone after it."""
+    """No planners are declared, and declarations of a test end with it."""
     before = declared_planners()
     declare_planners({})
     yield
@@ -34,12 +26,7 @@ def no_planners() -> Iterator[None]:
 
 
 @pytest.fixture
-def address() -> str:
-    return free_address()
-
-
-@pytest.fixture
-def other_address() -> str:
+def other_address(free_address: Callable[[], str]) -> str:
     return free_address()
 
 
@@ -69,7 +56,7 @@ def eventually() -> Callable[[Callable[[], bool]], None]:
     def wait(condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE
         while not condition():
-            assert time.monotonic() < deadline, "it did not come to pass"
+            assert time.monotonic() < deadline, "it did not become true"
             time.sleep(0.005)
 
     return wait

@@ -1,4 +1,4 @@
-"""A learner in a process of its own, to be killed: stores each chunk in a file before it acknowledges it.
+"""A learner in a separate process, to be killed: stores each chunk in a file before it acknowledges it.
 
 Arguments: address, run, folder. The file has a line `actor incarnation sequence first-reward` for each
 chunk, and after a restart the ledger is made from it.

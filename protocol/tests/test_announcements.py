@@ -1,4 +1,4 @@
-"""The newest value reaches everybody, early or late, and never an older one after it."""
+"""The newest value reaches all subscribers, early or late, and never an older one after it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from athrl_protocol import (
     EvaluationResult,
     EvaluationSubscriber,
     Keys,
+    LatestPublisher,
+    LatestSubscriber,
     LearnerNotFound,
-    NewestPublisher,
-    NewestSubscriber,
     Phase,
     PolicyPublisher,
     PolicySubscriber,
@@ -25,13 +25,13 @@ from athrl_protocol import (
     RunState,
     StatePublisher,
     StateSubscriber,
-    athrl_pb2,
     fetch_run_file,
     new_incarnation,
     read_run_file,
     serve_run_file,
 )
-from athrl_protocol.schema import encode_message
+from athrl_protocol.messages import athrl_pb2
+from athrl_protocol.messages.schema import encode_message
 
 PATIENCE = 30.0
 RUN = "announcements"
@@ -52,16 +52,16 @@ def _policy(version: int, artefact: bytes = b"onnx") -> PolicyUpdate:
     )
 
 
-def _edition(incarnation: int, number: int) -> bytes:
-    return encode_message(athrl_pb2.Edition(incarnation=incarnation, number=number))
+def _version(incarnation: int, number: int) -> bytes:
+    return encode_message(athrl_pb2.Version(incarnation=incarnation, number=number))
 
 
 def test_late_subscriber_has_the_newest_at_once(listen: Open, connect: Open) -> None:
-    with NewestPublisher(listen(), KEY) as publisher:
+    with LatestPublisher(listen(), KEY) as publisher:
         publisher.publish(b"one")
         publisher.publish(b"two")
         for _ in range(2):  # a restarted subscriber too
-            with NewestSubscriber(connect(), KEY) as subscriber:
+            with LatestSubscriber(connect(), KEY) as subscriber:
                 assert subscriber.wait(PATIENCE) == b"two"
 
 
@@ -70,7 +70,7 @@ def test_early_subscriber_gets_values_in_order_up_to_the_newest(
 ) -> None:
     learner = listen()
     seen: list[bytes] = []
-    with NewestSubscriber(connect(), KEY, seen.append), NewestPublisher(learner, KEY) as publisher:
+    with LatestSubscriber(connect(), KEY, seen.append), LatestPublisher(learner, KEY) as publisher:
         publisher.publish(b"first")
         eventually(lambda: bool(seen))
         for number in range(20):
@@ -82,7 +82,7 @@ def test_early_subscriber_gets_values_in_order_up_to_the_newest(
 
 
 def test_subscriber_returns_without_a_value_when_there_is_none(listen: Open, connect: Open) -> None:
-    with NewestPublisher(listen(), KEY), NewestSubscriber(connect(), KEY) as subscriber:
+    with LatestPublisher(listen(), KEY), LatestSubscriber(connect(), KEY) as subscriber:
         assert subscriber.wait(0.05) is None
         assert subscriber.latest() is None
 
@@ -91,9 +91,9 @@ def test_value_whose_put_was_lost_comes_after_a_reminder_and_is_asked_for_once(
     listen: Open, connect: Open, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learner, asked, answered = listen(), [], []
-    ask_first = NewestSubscriber._ask
-    monkeypatch.setattr(NewestSubscriber, "_ask", lambda *given: (ask_first(*given), answered.append(1)))
-    with NewestSubscriber(connect(), KEY) as subscriber, NewestPublisher(learner, KEY, 0.02) as publisher:
+    query_first = LatestSubscriber._query
+    monkeypatch.setattr(LatestSubscriber, "_query", lambda *given: (query_first(*given), answered.append(1)))
+    with LatestSubscriber(connect(), KEY) as subscriber, LatestPublisher(learner, KEY, 0.02) as publisher:
         publisher.publish(b"first")
         eventually(lambda: subscriber.latest() == b"first")
         eventually(lambda: bool(answered))  # else that answer might bring the second value
@@ -109,21 +109,21 @@ def test_reminder_of_what_is_known_or_older_asks_for_nothing(listen: Open, conne
     learner, seen = listen(), []
     known, came = threading.Event(), threading.Event()
 
-    class Quiet(NewestSubscriber):
-        knew = False  # who hears a reminder before the value asks for it
+    class Quiet(LatestSubscriber):
+        knew = False  # a subscriber that gets a reminder before the value queries it
 
         def ask(self) -> None:
             assert not self.knew, "there is nothing to ask for"
 
-        def _make_up_for(self, key: str, edition: object) -> None:
+        def _request_missed(self, key: str, version: object) -> None:
             self.knew = known.is_set()
-            super()._make_up_for(key, edition)  # type: ignore[arg-type]
+            super()._request_missed(key, version)  # type: ignore[arg-type]
             if self.knew:
-                seen.append(edition)
+                seen.append(version)
             if len(seen) == 3:
                 came.set()
 
-    with NewestPublisher(learner, KEY, 0.02) as publisher:
+    with LatestPublisher(learner, KEY, 0.02) as publisher:
         publisher.publish(b"value")
         with Quiet(connect(), KEY) as subscriber:
             assert subscriber.wait(PATIENCE) == b"value"
@@ -136,7 +136,7 @@ def test_older_value_never_follows_a_newer_one(listen: Open, connect: Open, even
     learner = listen()
     seen: list[bytes] = []
     present = new_incarnation()
-    with NewestSubscriber(connect(), KEY, seen.append):
+    with LatestSubscriber(connect(), KEY, seen.append):
         eventually(lambda: _matches(learner, KEY))
         for incarnation, number, value in (
             (present, 5, b"new"),
@@ -148,14 +148,33 @@ def test_older_value_never_follows_a_newer_one(listen: Open, connect: Open, even
             (present, 7, b"of the learner before again"),
             (present + 1, 2, b"last"),
         ):
-            learner.put(KEY, value, attachment=_edition(incarnation, number))
-        learner.put(KEY, b"nothing that says its edition")
+            learner.put(KEY, value, attachment=_version(incarnation, number))
+        learner.put(KEY, b"nothing that says its version")
         learner.put(
-            KEY, b"of another schema", attachment=athrl_pb2.Edition(incarnation=2**63).SerializeToString()
+            KEY, b"of another schema", attachment=athrl_pb2.Version(incarnation=2**63).SerializeToString()
         )
-        learner.put(KEY, b"end", attachment=_edition(present + 1, 3))
+        learner.put(KEY, b"end", attachment=_version(present + 1, 3))
         eventually(lambda: bool(seen) and seen[-1] == b"end")
     assert seen == [b"new", b"newer", b"of the learner after", b"last", b"end"]
+
+
+def test_version_from_the_future_is_refused_by_name_and_blocks_nothing(
+    listen: Open, connect: Open, eventually: Eventually, caplog: pytest.LogCaptureFixture
+) -> None:
+    learner = listen()
+    present = new_incarnation()
+    week = 7 * 86_400 * 10**9
+    with LatestSubscriber(connect(), KEY) as subscriber:
+        eventually(lambda: _matches(learner, KEY))
+        for incarnation in (2**64 - 2, present + week):
+            learner.put(KEY, b"forged", attachment=_version(incarnation, 1))
+        learner.put(KEY, b"true", attachment=_version(present, 1))
+        assert subscriber.wait(PATIENCE) == b"true"
+    refusals = [record.getMessage() for record in caplog.records]
+    assert len(refusals) == 2
+    for refusal, incarnation in zip(refusals, (2**64 - 2, present + week), strict=True):
+        assert f"value under {KEY}" in refusal
+        assert f"incarnation {incarnation} begins at" in refusal
 
 
 def _matches(session: zenoh.Session, key: str) -> bool:
@@ -186,15 +205,15 @@ def test_learner_that_returns_with_a_clock_set_back_is_heard(
     listen: Open, connect: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learner = listen()
-    publisher = NewestPublisher(learner, KEY)
+    publisher = LatestPublisher(learner, KEY)
     publisher.publish(b"before")
     arrived = threading.Semaphore(0)
-    with NewestSubscriber(connect(), KEY, lambda _: arrived.release()) as subscriber:
+    with LatestSubscriber(connect(), KEY, lambda _: arrived.release()) as subscriber:
         assert arrived.acquire(timeout=PATIENCE)
         publisher.close()
         learner.close()
-        monkeypatch.setattr("athrl_protocol.newest.new_incarnation", lambda: 1)
-        with NewestPublisher(listen(), KEY) as returned:
+        monkeypatch.setattr("athrl_protocol.announcements.latest_value.new_incarnation", lambda: 1)
+        with LatestPublisher(listen(), KEY) as returned:
             returned.publish(b"after")
             assert arrived.acquire(timeout=PATIENCE)
             assert subscriber.latest() == b"after"
@@ -202,7 +221,7 @@ def test_learner_that_returns_with_a_clock_set_back_is_heard(
 
 def test_policy_that_arrived_damaged_is_not_used(listen: Open, connect: Open, eventually: Eventually) -> None:
     with (
-        NewestPublisher(listen(), Keys(RUN).policy) as publisher,
+        LatestPublisher(listen(), Keys(RUN).policy) as publisher,
         PolicySubscriber(connect(), RUN) as subscriber,
     ):
         right = hashlib.sha256(b"onnx").digest()
@@ -220,11 +239,11 @@ def test_policy_that_arrived_damaged_is_not_used(listen: Open, connect: Open, ev
 def test_damaged_newest_leaves_the_one_before(listen: Open, connect: Open) -> None:
     seen: list[PolicyUpdate] = []
     damaged = threading.Event()
-    with NewestPublisher(listen(), Keys(RUN).policy) as publisher:
+    with LatestPublisher(listen(), Keys(RUN).policy) as publisher:
         session = connect()
         with (
             PolicySubscriber(session, RUN, seen.append) as subscriber,
-            NewestSubscriber(
+            LatestSubscriber(
                 session, Keys(RUN).policy, lambda value: damaged.set() if value == b"bad" else None
             ),
         ):
@@ -343,7 +362,7 @@ def test_learner_that_serves_nothing_is_named_after_the_timeout(
 
 def test_run_file_that_comes_late_is_waited_for(listen: Open, connect: Open) -> None:
     learner = listen()
-    served: list[NewestPublisher] = []
+    served: list[LatestPublisher] = []
     timer = threading.Timer(0.3, lambda: served.append(serve_run_file(learner, RunFile())))
     timer.start()
     try:

@@ -1,4 +1,4 @@
-"""What fails in a thread or in a callback reaches whoever waits for it."""
+"""A failure in a thread or in a callback is raised to callers that wait for it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from athrl_protocol import (
     announce_presence,
     new_incarnation,
 )
-from athrl_protocol.newest import NewestPublisher, NewestSubscriber
-from athrl_protocol.upload_window import UploadWindow
+from athrl_protocol.announcements.latest_value import LatestPublisher, LatestSubscriber
+from athrl_protocol.delivery.upload_window import UploadWindow
 
 RUN = "background"
 PATIENCE = 30.0
@@ -72,17 +72,17 @@ def test_uploader_whose_thread_failed_says_so_to_who_submits_or_flushes(
     assert uploader.statistics().produced == sum(uploader.statistics().given_up_by_reason.values())
 
 
-@pytest.mark.parametrize("broken", ["_keep", "_ask", "on_value"])
+@pytest.mark.parametrize("broken", ["_keep", "_query", "on_value"])
 def test_subscriber_whose_thread_failed_says_so_to_who_asks_for_its_value(
     listen: Open, connect: Open, monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., None], broken: str
 ) -> None:
     if broken != "on_value":
-        monkeypatch.setattr(NewestSubscriber, broken, fail)
+        monkeypatch.setattr(LatestSubscriber, broken, fail)
     session = listen()
     on_value = fail if broken == "on_value" else None
     with (
-        NewestSubscriber(connect(), "athrl/x/policy", on_value) as subscriber,
-        NewestPublisher(session, "athrl/x/policy") as publisher,
+        LatestSubscriber(connect(), "athrl/x/policy", on_value) as subscriber,
+        LatestPublisher(session, "athrl/x/policy") as publisher,
     ):
         publisher.publish(b"value")
         eventually(lambda: subscriber._background.failed)
@@ -93,7 +93,7 @@ def test_subscriber_whose_thread_failed_says_so_to_who_asks_for_its_value(
 def test_closed_session_is_no_failure(listen: Open, connect: Open) -> None:
     listen()
     session = connect()
-    subscriber = NewestSubscriber(session, "athrl/x/policy")
+    subscriber = LatestSubscriber(session, "athrl/x/policy")
     session.close()
     subscriber._asker.join(PATIENCE)
     assert not subscriber._asker.is_alive()

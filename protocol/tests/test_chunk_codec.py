@@ -15,13 +15,13 @@ from athrl_protocol import (
     Chunk,
     InvalidMessage,
     LevelColumns,
-    athrl_pb2,
     decode_chunk,
     encode_chunk,
-    image_codec,
 )
-from athrl_protocol.chunk_codec import MAXIMUM_IMAGES_BYTES, with_oldest_held
-from athrl_protocol.image_codec import Compression
+from athrl_protocol.codec import images as image_codec
+from athrl_protocol.codec.chunks import MAXIMUM_IMAGES_BYTES, with_oldest_held
+from athrl_protocol.codec.images import Compression
+from athrl_protocol.messages import athrl_pb2
 from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as some

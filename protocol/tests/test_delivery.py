@@ -52,7 +52,7 @@ def store() -> _Store:
 
 @pytest.fixture
 def uploader(connect: Open, listen: Open) -> Iterator[ChunkUploader]:
-    """An uploader whose learner may come and go; its session was opened while somebody listened."""
+    """An uploader whose learner may come and go; its session was opened while a learner listened."""
     first = listen()
     session = connect()
     first.close()
@@ -88,7 +88,7 @@ def test_uploader_goes_on_when_its_learner_returns(
             assert uploader.flush(PATIENCE)
             ledger = intake.ledger()
         session.close()
-        _submit(uploader, make_chunk, range(start, start + 8))  # while nobody listens
+        _submit(uploader, make_chunk, range(start, start + 8))  # while no learner listens
         assert not uploader.submit(make_chunk(99), 0.0), "the bound is reached"
         eventually(lambda: uploader.statistics().resent > 0)
     with ChunkIntake(listen(), RUN, store, ledger) as intake:
@@ -165,7 +165,7 @@ def test_gap_is_asked_for_again_and_every_chunk_is_stored_once_in_order(
     eventually: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("athrl_protocol.upload_pace.MOST_CHUNKS", 1)
+    monkeypatch.setattr("athrl_protocol.delivery.upload_pace.MOST_CHUNKS", 1)
     marks: list[int] = []
     all_submitted, several_under_way, sent_back = (threading.Event() for _ in range(3))
 
@@ -182,7 +182,7 @@ def test_gap_is_asked_for_again_and_every_chunk_is_stored_once_in_order(
         assert uploader.flush(PATIENCE)  # it has credits now
         _submit(uploader, make_chunk, range(1, 8))
         all_submitted.set()
-        eventually(lambda: len(uploader._under_way) >= 3)
+        eventually(lambda: len(uploader._in_flight) >= 3)
         several_under_way.set()
         assert uploader.flush(PATIENCE)
         assert intake.statistics().gaps >= 1
@@ -213,7 +213,7 @@ def test_busy_learner_gets_the_chunks_later_once_each(
     uploader: ChunkUploader, listen: Open, make_chunk: Make, store: _Store, eventually: Callable[..., None]
 ) -> None:
     store.refuse = IntakeBusy()
-    _submit(uploader, make_chunk, range(8))  # before anybody answers: for one that is busy fewer may be held
+    _submit(uploader, make_chunk, range(8))  # before a learner answers: for a busy one fewer may be held
     with ChunkIntake(listen(), RUN, store) as intake:
         eventually(lambda: intake.statistics().busy >= 3)
         assert uploader.statistics().acknowledged == 0

@@ -9,9 +9,9 @@ from collections.abc import Callable
 import pytest
 import zenoh
 from athrl_protocol import Chunk, ChunkIntake, ChunkUploader, IntakeBusy, new_incarnation
-from athrl_protocol import upload as upload_module
-from athrl_protocol.credits import CREDITS
-from athrl_protocol.upload_pace import HELD_WHILE_BUSY
+from athrl_protocol.delivery import upload as upload_module
+from athrl_protocol.delivery.credits import CREDITS
+from athrl_protocol.delivery.upload_pace import HELD_WHILE_BUSY
 
 PATIENCE = 30.0
 RUN = "pace"
@@ -68,7 +68,7 @@ def test_actor_runs_ahead_of_an_absent_learner_but_not_of_a_busy_one(
             assert held == HELD_WHILE_BUSY
             assert receiver.marks == [0]
         session.close()
-        _submit(uploader, make_chunk, range(1 + held, 41))  # now nobody answers
+        _submit(uploader, make_chunk, range(1 + held, 41))  # now there is no answer
         receiver.raises = None
         with ChunkIntake(listen(), RUN, receiver, intake.ledger()):
             assert uploader.flush(PATIENCE)
@@ -106,7 +106,7 @@ def test_busy_learner_is_asked_with_one_chunk_at_a_time(
         receiver.raises = IntakeBusy()
         _submit(uploader, make_chunk, range(1, 1 + HELD_WHILE_BUSY))
         eventually(lambda: intake.statistics().busy > 20)
-        # The first time all were under way. From then on the others would only be told of a gap.
+        # The first time all were in flight. From then on the others would only get a gap as the answer.
         assert intake.statistics().gaps < HELD_WHILE_BUSY
         receiver.raises = None
         assert uploader.flush(PATIENCE)
@@ -132,8 +132,8 @@ def test_uploader_rests_once_the_run_is_over(
     eventually: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rounds, send = [], ChunkUploader._send_what_may_go
-    monkeypatch.setattr(ChunkUploader, "_send_what_may_go", lambda self: (rounds.append(1), send(self))[1])
+    rounds, send = [], ChunkUploader._send_allowed
+    monkeypatch.setattr(ChunkUploader, "_send_allowed", lambda self: (rounds.append(1), send(self))[1])
     session, receiver = listen(), _Receiver()
     with (
         ChunkUploader(connect(), RUN, "actor-0", new_incarnation(), capacity=40) as uploader,

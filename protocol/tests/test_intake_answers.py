@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import pytest
 import zenoh
-from athrl_protocol import Chunk, ChunkIntake, Keys, athrl_pb2, encode_chunk
+from athrl_protocol import Chunk, ChunkIntake, Keys, encode_chunk
+from athrl_protocol.messages import athrl_pb2
 
 PATIENCE = 30.0
 RUN = "answers"
@@ -69,6 +70,45 @@ def test_gap_is_answered_with_what_is_expected(
         assert (answer.reason, answer.expected_sequence) == (athrl_pb2.Refusal.EXPECTED, 0)
         assert intake.statistics().gaps == 1
     assert marks.taken == []
+
+
+def test_forged_incarnations_leave_the_living_one_in_place(
+    connect: Open, listen: Open, make_chunk: Make, marks: _Marks, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its chunks are neither lost nor taken in twice, and the forger is told and logged by name."""
+    honest = [_chunk(make_chunk, sequence) for sequence in range(3)]
+    with ChunkIntake(listen(), RUN, marks) as intake:
+        session = connect()
+        _ask(session, "actor-0", honest[0])
+        for number in range(70):
+            forged = athrl_pb2.Chunk.FromString(honest[0])
+            forged.incarnation = 2**64 - 1 - number
+            answer = _ask(session, "actor-0", forged.SerializeToString())
+            assert isinstance(answer, athrl_pb2.Refusal)
+            assert f"incarnation {forged.incarnation} begins at" in answer.text
+        for message in (honest[1], honest[0], honest[2], honest[1]):
+            assert isinstance(_ask(session, "actor-0", message), athrl_pb2.Acknowledgement)
+        statistics = intake.statistics()
+        assert (statistics.stored, statistics.duplicates, statistics.lost) == (3, 2, 0)
+        assert statistics.invalid == {"incarnation": 70}
+    assert marks.taken == [0, 1, 2]
+    assert any("a chunk of actor-0 was refused (incarnation)" in text for text in caplog.messages)
+
+
+def test_lost_chunks_are_one_line_of_warning(
+    connect: Open, listen: Open, make_chunk: Make, marks: _Marks, caplog: pytest.LogCaptureFixture
+) -> None:
+    with ChunkIntake(listen(), RUN, marks) as intake:
+        session = connect()
+        for sequence in (3, 9):
+            chunk = athrl_pb2.Chunk.FromString(_chunk(make_chunk, sequence))
+            chunk.oldest_held = sequence
+            assert isinstance(_ask(session, "actor-0", chunk.SerializeToString()), athrl_pb2.Acknowledgement)
+        assert intake.statistics().lost == 8
+    assert [text for text in caplog.messages if "lost" in text] == [
+        "chunks of actor-0 are lost (intake/lost): it does not hold them any more, and they were not taken "
+        "in here; another process may have acknowledged them"
+    ]
 
 
 def test_rubbish_is_refused_by_reason_and_does_no_harm(

@@ -1,4 +1,4 @@
-"""Who is there, what they measure, and frames that flow only while somebody watches."""
+"""Presence, metrics, and frames that are only sent while there is a watcher."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from athrl_protocol import (
     announce_presence,
     decode_frame,
     encode_frame,
-    joining,
     subscribe_frames,
 )
-from athrl_protocol.frame import frame_of
-from athrl_protocol.keys import role_and_name_of
-from athrl_protocol.presence import PresenceGlance
+from athrl_protocol.announcements import joining
+from athrl_protocol.announcements.presence import PresencePoll
+from athrl_protocol.messages.frame import frame_of
+from athrl_protocol.messages.keys import role_and_name_of
 
 PATIENCE = 30.0
 RUN = "presence"
@@ -143,7 +143,7 @@ def test_frames_flow_only_while_somebody_watches(listen: Open, connect: Open, ev
     with FramePublisher(connect(), RUN, "actor", "a") as publisher:
         assert not publisher.watched
         for turn in range(2):
-            publisher.publish(_frame(99))  # nobody watches: goes nowhere
+            publisher.publish(_frame(99))  # no watcher: it is not sent
             with subscribe_frames(watcher, RUN, "actor", "a", frames.append):
                 eventually(lambda: publisher.watched)
                 publisher.publish(_frame(turn))
@@ -175,11 +175,11 @@ def test_frame_with_images_of_another_size_is_refused() -> None:
 
 def _frame_of(decision: dict[str, float], **changes: object) -> Frame:
     """The frame of a moment with this decision, as it arrives; `changes` are the scene's."""
-    nobody = SimpleNamespace(x=0.0, y=0.0, heading=0.0, speed=0.0, length=5.0, width=2.0)
+    vehicle = SimpleNamespace(x=0.0, y=0.0, heading=0.0, speed=0.0, length=5.0, width=2.0)
     moment = {
         "time": 0.4,
-        "ego": nobody,
-        "vehicles": [nobody],
+        "ego": vehicle,
+        "vehicles": [vehicle],
         "route": np.zeros((2, 2)),
         "waypoint": np.ones(2),
         "target_speed": 3.0,
@@ -238,22 +238,22 @@ def test_frame_with_a_decision_that_cannot_be_shown_is_refused(
 def test_who_joins_is_told_of_the_learner_and_of_namesakes_only(
     listen: Open, connect: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Told of everybody, a thousand that join would take a million messages."""
+    """If each watched all others, a thousand services that join would cause a million messages."""
     told: list[tuple[str, str]] = []
-    note = PresenceGlance._note
+    note = PresencePoll._note
 
-    def noting(glance: PresenceGlance, sample: zenoh.Sample) -> None:
+    def noting(glance: PresencePoll, sample: zenoh.Sample) -> None:
         told.append(role_and_name_of(str(sample.key_expr)))
         note(glance, sample)
 
     learner, others = listen(), connect()
     with contextlib.ExitStack() as stack:
         stack.enter_context(announce_presence(learner, RUN, "learner", "learner"))
-        everybody = stack.enter_context(PresenceWatcher(learner, RUN))
+        all_services = stack.enter_context(PresenceWatcher(learner, RUN))
         for number in range(20):
             stack.enter_context(announce_presence(others, RUN, "actor", f"actor-{number}"))
-        assert everybody.wait_for(lambda present: len(present) == 21, PATIENCE)
-        monkeypatch.setattr(PresenceGlance, "_note", noting)
+        assert all_services.wait_for(lambda present: len(present) == 21, PATIENCE)
+        monkeypatch.setattr(PresencePoll, "_note", noting)
         assert joining._take_name(connect(), RUN, "actor", "new", threading.Event(), stack)
         assert set(told) == {("learner", "learner")}
         monkeypatch.setattr(joining, "NAME_SECONDS", 0.1)

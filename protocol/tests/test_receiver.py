@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 from athrl_protocol import Chunk, ChunkIntake, ChunkUploader, InvalidMessage, new_incarnation
-from athrl_protocol.chunk_codec import decode_chunk
-from athrl_protocol.ledger import Ledger
+from athrl_protocol.codec.chunks import decode_chunk
+from athrl_protocol.delivery.ledger import Ledger
 from hypothesis import given
 from hypothesis import strategies as some
 

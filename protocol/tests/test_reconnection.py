@@ -1,4 +1,4 @@
-"""A connection over which nothing comes back is made anew; one that answers is left alone."""
+"""A connection without answers is replaced; one with answers is kept."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from contextlib import ExitStack
 
 import pytest
 import zenoh
-from athrl_protocol import open_session, reconnection, session_care
-from athrl_protocol.session import open_router
+from athrl_protocol import open_session
+from athrl_protocol.transport import connection_monitor, reconnection
+from athrl_protocol.transport.session import open_router
 
 PATIENCE = 30.0
 LEASE = 60_000  # ms; nothing here is noticed because of it
 LEFT_ALONE = 8.0
-OPENED = 2  # connections: one to see whether somebody listens, and the session's
+OPENED = 2  # connections: a probe, and the session's
 
 
 class _OneWay:
@@ -98,7 +99,7 @@ def test_client_connects_anew_when_nothing_comes_back(
         subscriber = session.declare_subscriber("athrl/any")
         between.mute_present()
         between.await_coming(OPENED + 1)
-        assert f"{between.address} is connected and does not answer: connecting anew" in caplog.text
+        assert f"{between.address} is connected and does not answer: reconnecting" in caplog.text
         with open_session(connect=between.address, timeout=PATIENCE) as speaker:
             deadline = time.monotonic() + PATIENCE
             while subscriber.try_recv() is None:
@@ -118,7 +119,7 @@ def test_router_connects_anew_however_often_its_clients_come(between: _OneWay, o
 
 
 def test_connection_that_answers_is_left_alone(between: _OneWay) -> None:
-    """Nobody has to have an answer: that there is none comes back as well."""
+    """An answer that there is no such value is an answer as well."""
     with open_session(connect=between.address, timeout=PATIENCE):
         time.sleep(LEFT_ALONE)
         assert between.came == OPENED
@@ -128,9 +129,9 @@ def test_session_closes_while_its_connection_is_asked_about(
     between: _OneWay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Zenoh refuses the end of a `with` block while another thread is inside the session."""
-    monkeypatch.setattr(reconnection, "ASK_SECONDS", 0.0)
-    monkeypatch.setattr(reconnection, "AGAIN_SECONDS", 0.0)
-    monkeypatch.setattr(session_care, "TOGETHER_SECONDS", 0.0)
+    monkeypatch.setattr(reconnection, "QUERY_INTERVAL_SECONDS", 0.0)
+    monkeypatch.setattr(reconnection, "RETRY_SECONDS", 0.0)
+    monkeypatch.setattr(connection_monitor, "POLL_SECONDS", 0.0)
     for _ in range(20):
         with open_session(connect=between.address, timeout=PATIENCE):
             time.sleep(0.05)
@@ -139,7 +140,7 @@ def test_session_closes_while_its_connection_is_asked_about(
 _CLIENT = """
 import sys
 from athrl_protocol import open_session
-from athrl_protocol.session import open_router
+from athrl_protocol.transport.session import open_router
 with open_session(connect=sys.argv[1], timeout=30):
     sys.stdin.read()
 """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from athrl_protocol import RunFile, RunFileError, default_toml, read_run_file, to_toml
-from athrl_protocol.chunk import MAXIMUM_IMAGES_BYTES
+from athrl_protocol.messages.chunk import MAXIMUM_IMAGES_BYTES
 from athrl_protocol.run_file import settings
 
 
@@ -99,9 +99,15 @@ def test_served_run_file_of_another_release_is_refused() -> None:
         ('[learner]\nprecision = "half"', ['learner.precision = "half"', '"auto", "float32" or "bfloat16"']),
         ("[environment]\nimage_size = 4", ["environment.image_size = 4", "should be integer, >= 8, <= 512"]),
         ("[environment]\nvehicles = -1", ["environment.vehicles = -1", "should be integer, >= 0, <= 10000"]),
-        ('[run]\nname = "Town 03"', ['run.name = "Town 03"', 'should be text like "town03"']),
-        ("[run]\nname = 2024-01-01", ["run.name", "should be text"]),
-        ('[network]\nlisten = "7447"', ['network.listen = "7447"', "tcp/127.0.0.1:7447"]),
+        (
+            '[run]\nname = "Town 03"',
+            ['run.name = "Town 03"', "should be a name of at most 63 characters: a-z, 0-9, _ and -"],
+        ),
+        ("[run]\nname = 2024-01-01", ["run.name", "should be a name"]),
+        (
+            '[network]\nlisten = "7447"',
+            ['network.listen = "7447"', "should be tcp/HOST:PORT or tls/HOST:PORT"],
+        ),
         ("[replay]\nburn_in = 16", ["replay.burn_in = 16", "less than replay.sequence_length = 16"]),
         ("[replay]\ncapacity = 500", ["replay.capacity = 500", "at least 512", "learner.batch = 512"]),
         (
@@ -147,7 +153,7 @@ def test_mistake_in_the_file_is_one_line_that_names_it(tmp_path: Path, text: str
         ("=3", ["should look like section.key=value"]),
         ("learner=3", ["learner is no setting but a section of them, such as learner.batch"]),
         ("learner.batch=many", ["should be integer, >= 1, <= 65536"]),
-        ("learner.batch=1\n[run]\nname='x'", ["should be integer"]),
+        ("learner.batch=1\n[run]\nname='x'", ["should be printable text in one line"]),
     ],
 )
 def test_mistake_in_an_override_is_one_line_that_names_it(override: str, parts: list[str]) -> None:
@@ -194,7 +200,7 @@ def test_override_over_a_broken_section_is_refused(tmp_path: Path) -> None:
 
 def test_missing_or_unreadable_file_is_named(tmp_path: Path) -> None:
     assert "no such file" in _error(tmp_path / "absent.toml")
-    assert "is a directory" in _error(tmp_path)
+    assert "is a folder" in _error(tmp_path)
     binary = tmp_path / "run.toml"
     binary.write_bytes(b"\xff\xfe\x00")
     assert "UTF-8" in _error(binary)

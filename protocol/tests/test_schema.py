@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
-import athrl_protocol
 import pytest
-from athrl_protocol import SCHEMA_HASH, SCHEMA_VERSION, InvalidMessage, athrl_pb2
-from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol import SCHEMA_HASH, SCHEMA_VERSION, InvalidMessage
+from athrl_protocol.messages import athrl_pb2
+from athrl_protocol.messages.schema import decode_message, encode_message
 
 PROTOCOL = Path(__file__).parents[1]
 
@@ -20,7 +20,7 @@ def test_committed_code_is_what_the_schema_generates(tmp_path: Path) -> None:
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     module.generate(tmp_path)
-    committed = Path(athrl_protocol.__file__).parent
+    committed = Path(athrl_pb2.__file__).parent
     for name in ("athrl_pb2.py", "athrl_pb2.pyi"):
         assert (committed / name).read_text() == (tmp_path / name).read_text(), "run protocol/generate.py"
 

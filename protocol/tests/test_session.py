@@ -49,14 +49,15 @@ def test_absent_learner_is_named_after_the_timeout(address: str) -> None:
     with pytest.raises(LearnerNotFound) as caught:
         open_session(connect=address, timeout=0.3)
     text = _one_line(caught)
-    assert text.startswith(f"no learner at {address} within 0.3 s (nobody listens there)")
+    assert text.startswith(f"no learner at {address} within 0.3 s (no process listens there)")
+    assert "--connect" in text
 
 
-def test_listener_that_is_no_learner_is_named_after_the_timeout() -> None:
+def test_listener_without_an_answer_may_be_a_paused_learner_or_none() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
-        with pytest.raises(LearnerNotFound, match="somebody listens there who is no learner"):
+        with pytest.raises(LearnerNotFound, match="there does not answer: a learner that is paused"):
             open_session(connect=f"127.0.0.1:{other.getsockname()[1]}", timeout=0.1)
 
 
@@ -114,10 +115,10 @@ def test_learner_listens_at_its_address_only(address: str, listen: Open) -> None
 def test_nothing_is_printed_when_links_break(address: str) -> None:
     script = """
 import sys
-from athrl_protocol import LearnerNotFound, NewestSubscriber, open_session
+from athrl_protocol import LearnerNotFound, LatestSubscriber, open_session
 learner = open_session(listen=sys.argv[1], timeout=30)
 client = open_session(connect=sys.argv[1], timeout=30)
-subscriber = NewestSubscriber(client, "athrl/a/b")
+subscriber = LatestSubscriber(client, "athrl/a/b")
 learner.close()
 try:
     open_session(connect=sys.argv[1], timeout=0.1)

@@ -1,4 +1,4 @@
-"""A connection that is given up is gone: it holds nobody up and gets in no later one's way."""
+"""A connection that is given up has ended: it blocks no thread and no later connection."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _connections(address: str) -> list[bool]:
     port = int(address.rpartition(":")[2])
     found = []
     for entry in Path("/proc/self/fd").iterdir():
-        with contextlib.suppress(OSError):  # no socket, closed meanwhile, or not connected
+        with contextlib.suppress(OSError):  # no socket, closed by now, or not connected
             borrowed = socket.socket(fileno=int(entry.name))
             try:
                 if borrowed.family == socket.AF_INET and borrowed.getsockname()[1] == port:

@@ -70,7 +70,8 @@ MANY = ", ".join(f'"{number}.xodr"' for number in range(17))
         ("{town3 = 1}", ['"town3" is no town', "did you mean town03?"]),
         ('"a\\u0000b.xodr"', ["printable"]),
         ('"a\\nb.xodr"', ["printable"]),
-        (f'"{"a" * 300}.xodr"', ["at most 256 printable characters"]),
+        (f'"{"a/" * 150}.xodr"', ["at most 256 printable characters"]),
+        (f'"{"a" * 300}.xodr"', ["a file's name has at most 255"]),
     ],
 )
 def test_mistake_in_the_towns_is_one_line_that_names_it(
@@ -105,7 +106,7 @@ def test_former_name_of_the_setting_leads_to_the_new_one() -> None:
 
 
 def test_every_map_that_is_read_can_be_named_in_a_result() -> None:
-    path = "ä" * 251 + ".xodr"
+    path = "ä" * 125 + "/" + "ä" * 125 + ".xodr"
     (town,) = read_run_file(None, [f"environment.towns={path}"]).environment.towns
     result = EvaluationResult("policy", 1, 2, town, 3, {"return_mean": 1.0})
     assert _decode(_encode(result)) == result

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from athrl_protocol import Chunk, InvalidMessage, LevelColumns
-from athrl_protocol.ledger import INCARNATIONS_KEPT, Gap, Known, Ledger, New
-from athrl_protocol.upload_window import UploadWindow
+from athrl_protocol.delivery.ledger import INCARNATIONS_KEPT, Gap, Known, Ledger, New
+from athrl_protocol.delivery.upload_window import UploadWindow
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
@@ -95,19 +95,19 @@ def numbered(make_chunk: Callable[..., Chunk]) -> Callable[..., Chunk]:
 
 def test_ledger_tells_known_from_new_from_gap(numbered: Callable[..., Chunk]) -> None:
     ledger = Ledger()
-    assert ledger.judge(numbered(0)) == New(lost=0)
+    assert ledger.classify(numbered(0)) == New(lost=0)
     ledger.record(numbered(0))
-    assert ledger.judge(numbered(0)) == Known(1)
-    assert ledger.judge(numbered(2)) == Gap(1)
-    assert ledger.judge(numbered(0, incarnation=2)) == New(lost=0)
+    assert ledger.classify(numbered(0)) == Known(1)
+    assert ledger.classify(numbered(2)) == Gap(1)
+    assert ledger.classify(numbered(0, incarnation=2)) == New(lost=0)
 
 
 def test_ledger_counts_what_the_actor_does_not_hold_any_more_as_lost(numbered: Callable[..., Chunk]) -> None:
     ledger = Ledger({"a": {"1": 10}})
-    assert ledger.judge(numbered(25, oldest_held=20)) == Gap(20)
-    assert ledger.judge(numbered(20, oldest_held=20)) == New(lost=10)
+    assert ledger.classify(numbered(25, oldest_held=20)) == Gap(20)
+    assert ledger.classify(numbered(20, oldest_held=20)) == New(lost=10)
     with pytest.raises(InvalidMessage, match="oldest_held is 30"):
-        ledger.judge(numbered(25, oldest_held=30))
+        ledger.classify(numbered(25, oldest_held=30))
 
 
 def test_ledger_survives_json_and_stays_small(numbered: Callable[..., Chunk]) -> None:
@@ -136,7 +136,7 @@ class _Simulation:
             self.window.add(b"")
 
     def exchange(self, query_arrives: bool, answer_arrives: bool) -> bool:
-        """Send one chunk; return whether the actor heard the answer."""
+        """Send one chunk; return whether the actor received the answer."""
         taken = self.window.take()
         if taken is None:
             return True
@@ -145,7 +145,7 @@ class _Simulation:
             self.window.rewind()
             return False
         chunk = dataclasses.replace(self.chunk, sequence=sequence, oldest_held=oldest_held)
-        verdict = self.ledger.judge(chunk)
+        verdict = self.ledger.classify(chunk)
         if isinstance(verdict, New):
             self.stored.append(sequence)
             self.lost |= set(range(sequence - verdict.lost, sequence))

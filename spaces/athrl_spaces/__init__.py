@@ -1,8 +1,9 @@
-"""What a planner sees and decides, described once for planners, environments and services.
+"""Observation and action spaces, described once for planners, environments and services.
 
-The ground floor: it imports no other room, and needs NumPy alone. `actions` has one number or choice that a
-planner decides and how it is explored, `action_kinds` what an environment takes, `observation` what is seen,
-`reward_terms` what is earned, `policy` what a policy says of itself.
+This package imports no other package of the project and only needs NumPy. `actions` describes a number or a
+choice that a planner decides and its exploration, `action_kinds` the actions that an environment takes,
+`observation` the observation, `reward_terms` the terms of the reward, `policy` the description of a policy.
+`untrusted` reads files from elsewhere within bounds; every room's parsers use it.
 """
 
 from athrl_spaces.action_kinds import (
@@ -15,15 +16,18 @@ from athrl_spaces.action_kinds import (
     action_kind,
 )
 from athrl_spaces.actions import Action, Continuous, Discrete, Epsilon, Noise, Sampled, ranks
+from athrl_spaces.evaluation import CASE_STUDIES, REFERENCE_DRIVERS
 from athrl_spaces.observation import CHANNELS, MOTION, Observation
 from athrl_spaces.policy import SCHEMA_VERSION, InvalidDescription, LevelDescription, PolicyDescription
-from athrl_spaces.reward_terms import REWARD_TERMS, places_of_terms, refuse_wrong_terms
+from athrl_spaces.reward_terms import REWARD_TERMS, indices_of_terms, refuse_wrong_terms
 
 __all__ = [
     "ACTION_KINDS",
+    "CASE_STUDIES",
     "CHANNELS",
     "DIRECT",
     "MOTION",
+    "REFERENCE_DRIVERS",
     "REWARD_TERMS",
     "SCHEMA_VERSION",
     "WAYPOINT",
@@ -41,7 +45,7 @@ __all__ = [
     "PolicyDescription",
     "Sampled",
     "action_kind",
-    "places_of_terms",
+    "indices_of_terms",
     "ranks",
     "refuse_wrong_terms",
 ]

@@ -1,10 +1,10 @@
 """The kinds of action that an environment takes; each is two entries that a planner decides.
 
-| kind | first entry | second entry | who turns it into motion |
+| kind | first entry | second entry | controllers |
 |---|---|---|---|
 | `waypoint` | target speed | the waypoint's angle | PID controllers |
-| `waypoint-set` | behaviour: a target speed out of three | one of 16 waypoints | PID controllers |
-| `direct` | acceleration | steering | nobody |
+| `waypoint-set` | behaviour: one of three target speeds | one of 16 waypoints | PID controllers |
+| `direct` | acceleration | steering | none |
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ RADII = (0.5, 1.0)
 """Distances of the waypoint set, as shares of the waypoint's radius; a choice is `radius * 8 + direction`."""
 
 MAXIMUM_ACCELERATION = 3.0
-"""m/s2, to either side."""
+"""m/s2, in both directions."""
 
 MAXIMUM_STEERING = 0.3
-"""Steering command at full lock, to either side; positive to the right."""
+"""Steering command at full lock, in both directions; positive to the right."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What an environment makes of a decision.
+    """Limits of the decisions in an environment.
 
     Attributes:
         maximum_speed: highest target speed, m/s.
@@ -55,8 +55,8 @@ class ActionKind:
     Attributes:
         name: of the kind.
         entries: names of its two entries, in the order in which an environment takes them.
-        discrete: whether they are choices.
-        describe: what each entry may be, for given limits; without exploration.
+        discrete: whether its entries are choices.
+        describe: returns the spaces of both entries under given limits, without exploration.
     """
 
     name: str
@@ -108,11 +108,11 @@ ACTION_KINDS = {
         ActionKind(DIRECT, ("acceleration", "steering"), False, _direct),
     )
 }
-"""The kinds by name; the place of a kind here is its number in compiled code."""
+"""The kinds by name; the position of a kind here is its number in compiled code."""
 
 
 def action_kind(name: str) -> ActionKind:
-    """The kind of that name; raises ValueError that lists the names for one that does not exist."""
+    """The kind of that name; raises ValueError that lists the known names if there is none."""
     if name not in ACTION_KINDS:
         raise ValueError(f"there is no kind of action {name!r}; there are {', '.join(ACTION_KINDS)}")
     return ACTION_KINDS[name]

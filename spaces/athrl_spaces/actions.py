@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def ranks(environments: int) -> NDArray[np.float64]:
-    """Places of environments among each other, evenly from 0 to 1; a single one lies in the middle."""
+    """Ranks of environments, evenly from 0 to 1, float64 [environments]; a single one has 0.5."""
     return np.linspace(0.0, 1.0, environments) if environments > 1 else np.array([0.5])
 
 
@@ -18,8 +18,8 @@ class Noise:
     """Noise on a continuous action: `x <- (1 - damping) x + deviation N(0, 1)`, in half-ranges.
 
     This is tf-agents' Ornstein-Uhlenbeck process; with a damping of 1 it is white Gaussian noise. The
-    environments of an actor explore differently: the deviation rises from `low` to `high` with an
-    environment's rank among them.
+    environments of an actor explore differently: the deviation rises from `low` to `high` with the rank of
+    the environment.
     """
 
     low: float
@@ -44,7 +44,7 @@ class Sampled:
 
 @dataclass(frozen=True)
 class Epsilon:
-    """Exploration of a choice: with this probability any of them; it rises with the rank as noise does."""
+    """Exploration of a choice: the probability of a random choice; it rises with the rank as noise does."""
 
     low: float
     high: float
@@ -64,11 +64,12 @@ class Continuous:
 
     Attributes:
         name: unique among everything that a planner decides.
-        unit: as text, empty where it has none.
+        unit: as text; empty if it has none.
         low: lower bound.
         high: upper bound.
-        exploration: what actors add to it.
-        sideways: it changes its sign, about the range's centre, when left and right are exchanged.
+        exploration: noise that actors add.
+        sideways: whether it changes its sign, about the centre of its range, when left and right are
+            exchanged.
     """
 
     name: str
@@ -106,7 +107,7 @@ class Discrete:
         name: unique among everything that a planner decides.
         choices: what each index means, as text.
         exploration: how often actors choose at random.
-        mirrored: the index that each choice becomes when left and right are exchanged; empty: the same.
+        mirrored: the index of each choice after left and right are exchanged; empty: unchanged.
     """
 
     name: str

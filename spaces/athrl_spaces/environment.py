@@ -1,4 +1,4 @@
-"""Bounds of the settings of an environment that run files and environments have in common."""
+"""Bounds of the settings that run files and environments share."""
 
 from __future__ import annotations
 

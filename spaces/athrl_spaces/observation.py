@@ -1,4 +1,4 @@
-"""What a planner sees."""
+"""The observation of a planner."""
 
 from __future__ import annotations
 

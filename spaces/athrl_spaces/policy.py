@@ -1,4 +1,4 @@
-"""What a policy says of itself: the JSON that an artefact carries, and the checks when it is read."""
+"""The description of a policy: the JSON in an artefact, and its checks when it is read."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from numpy.typing import NDArray
 
 from athrl_spaces.action_kinds import ActionKind, Limits, action_kind
 from athrl_spaces.actions import Action, Continuous, Discrete, Epsilon, Noise, Sampled
+from athrl_spaces.environment import BOUNDS
 from athrl_spaces.observation import Observation
 from athrl_spaces.reward_terms import refuse_wrong_terms
+from athrl_spaces.untrusted import parser_errors
 
 SCHEMA_VERSION = 2
 
-MOST_LEVELS, MOST_CHOICES, LARGEST_STATE = 16, 4096, 65_536
-"""Bounds on what a file from elsewhere may ask for."""
+MOST_LEVELS, MOST_ENTRIES, MOST_CHOICES, LARGEST_STATE = 16, 256, 4096, 65_536
+MOST_SEEN, LONGEST_NAME, LONGEST_TEXT, LARGEST_NUMBER = 64, 256, 2**20, 1e9
+"""Bounds for files from other sources; `MOST_SEEN` is of channels, and of entries of the motion vector."""
 
 
-class InvalidDescription(ValueError):  # noqa: N818  (the name says what the text is)
-    """A text is not the description of a policy; the message is one line for the user."""
+class InvalidDescription(ValueError):  # noqa: N818  (the name says what is wrong)
+    """A text is not a valid description of a policy; the message is one line for the user."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +37,8 @@ class LevelDescription:
     Attributes:
         name: of the level.
         actions: what it decides.
-        state_size: numbers in its recurrent state; 0 where it has no memory.
-        rewarded: names of the terms of the reward that it is paid (`REWARD_TERMS`); empty: all of them, the
-            task's reward.
+        state_size: numbers in its recurrent state; 0 if it has no memory.
+        rewarded: names of its reward terms (`REWARD_TERMS`); empty: all of them, the task's reward.
     """
 
     name: str
@@ -65,14 +67,14 @@ class LevelDescription:
 
 @dataclass(frozen=True)
 class PolicyDescription:
-    """What a policy is.
+    """Describes a policy.
 
     Attributes:
         planner: kind of the planner.
-        action_kind: name of the kind of action that an environment takes of it.
-        limits: what that environment makes of a decision.
-        observation: what it sees.
-        levels: highest first; each sees what those above it decided.
+        action_kind: name of the kind of action that it gives to an environment.
+        limits: limits of decisions in that environment.
+        observation: its observation.
+        levels: highest first; each sees the decisions of the levels above.
     """
 
     planner: str
@@ -103,7 +105,7 @@ class PolicyDescription:
 
     @property
     def entries(self) -> list[str]:
-        """Names of everything that is decided, from the highest level down."""
+        """Names of all decided entries, from the highest level down."""
         return [action.name for level in self.levels for action in level.actions]
 
     @cached_property
@@ -118,14 +120,13 @@ class PolicyDescription:
 
     @cached_property
     def _taken(self) -> tuple[Action, Action]:
-        """What the environment has for those entries."""
+        """The environment's own spaces of those entries."""
         return self.kind.describe(self.limits)
 
     def environment_action(self, actions: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float32]:
-        """What the environment takes of a decision, float32 [batch, 2].
+        """The environment's action for a decision, float32 [batch, 2].
 
-        A continuous entry is normalised to [-1, 1] by the range that the environment has for it, a choice is
-        its index.
+        A continuous entry is normalised to [-1, 1] by the environment's range of it, a choice is its index.
 
         Args:
             actions: of each level float32 [batch, n], physical units.
@@ -139,7 +140,7 @@ class PolicyDescription:
         return np.stack(columns, axis=1).astype(np.float32)
 
     def named_values(self, actions: Mapping[str, NDArray[np.floating]], row: int) -> dict[str, float]:
-        """Everything that was decided in one row of a batch, by name, physical units or index."""
+        """All decided entries of one row of a batch by name, physical units or index."""
         return {
             action.name: float(actions[level.name][row, column])
             for level in self.levels
@@ -155,35 +156,33 @@ class PolicyDescription:
         """Read and check what `to_json` wrote.
 
         Raises:
-            InvalidDescription: it is something else; names what is wrong.
+            InvalidDescription: the text is not valid; names the error.
         """
-        try:
+        if len(text) > LONGEST_TEXT:
+            raise InvalidDescription(
+                f"its metadata has {len(text):,} characters; at most {LONGEST_TEXT:,} may be"
+            )
+        with parser_errors(lambda reason: InvalidDescription(f"its metadata is not JSON: {reason}")):
             document = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InvalidDescription(f"its metadata is not JSON: {error}") from None
         if not isinstance(document, dict):
             raise InvalidDescription("its metadata is not a JSON object")
         version = document.get("schema_version")
         if version != SCHEMA_VERSION:
             raise InvalidDescription(
-                f"it has schema version {version!r}; this program reads {SCHEMA_VERSION}"
+                f"it has schema version {version!r:.60}; this program reads {SCHEMA_VERSION}"
             )
-        try:
+        with parser_errors(lambda reason: InvalidDescription(f"its metadata: {reason}")):
             return cls(
-                planner=_take(document, "planner", str),
-                action_kind=_take(document, "action_kind", str),
+                planner=_name(document, "planner"),
+                action_kind=_name(document, "action_kind"),
                 limits=_limits(_take(document, "limits", dict)),
                 observation=_observation(_take(document, "observation", dict)),
-                levels=tuple(_level(entry) for entry in _take(document, "levels", list)),
+                levels=tuple(_level(entry) for entry in _few(document, "levels", MOST_LEVELS)),
             )
-        except InvalidDescription:
-            raise
-        except (ValueError, TypeError) as error:
-            raise InvalidDescription(f"its metadata: {error}") from None
 
 
 def _form(action: Action) -> str:
-    """What an action is, for messages."""
+    """The form of an action, for messages."""
     return "a number" if isinstance(action, Continuous) else f"a choice of {len(action.choices)}"
 
 
@@ -194,7 +193,7 @@ def _refuse_repeats(what: str, names: list[str]) -> None:
 
 
 def _plain(document: dict[str, Any], description: PolicyDescription) -> dict[str, Any]:
-    """Add to each action what it is, which its attributes do not say."""
+    """Add to each action its type, which its attributes do not contain."""
     for entry, level in zip(document["levels"], description.levels, strict=True):
         for written, action in zip(entry["actions"], level.actions, strict=True):
             written["type"] = "continuous" if isinstance(action, Continuous) else "discrete"
@@ -213,27 +212,31 @@ def _limits(document: Mapping[str, Any]) -> Limits:
 
 
 def _observation(document: Mapping[str, Any]) -> Observation:
+    largest = BOUNDS["image_size"][2]
+    size = _take(document, "image_size", int)
+    if size > largest:
+        raise InvalidDescription(f"its metadata: image_size is {size!r:.60}; it should be at most {largest}")
     return Observation(
-        image_size=_take(document, "image_size", int),
-        channels=_texts(document, "channels"),
-        motion=_texts(document, "motion"),
+        image_size=size,
+        channels=_texts(document, "channels", MOST_SEEN),
+        motion=_texts(document, "motion", MOST_SEEN),
     )
 
 
 def _level(entry: Any) -> LevelDescription:
     if not isinstance(entry, dict):
         raise InvalidDescription(f"its metadata: a level is {entry!r:.60}; it should be an object")
-    name = _take(entry, "name", str)
+    name = _name(entry, "name")
     size = _take(entry, "state_size", int)
     if not 0 <= size <= LARGEST_STATE:
         raise InvalidDescription(
-            f"its metadata: {name}.state_size is {size}; it should be 0 to {LARGEST_STATE}"
+            f"its metadata: {name}.state_size is {size!r:.60}; it should be 0 to {LARGEST_STATE}"
         )
-    actions = tuple(_action(name, action) for action in _take(entry, "actions", list))
+    actions = tuple(_action(name, action) for action in _few(entry, "actions", MOST_ENTRIES))
     if not actions:
         raise InvalidDescription(f"its metadata: level {name!r} decides nothing")
-    # A file without it is of a planner whose levels are all paid the task's reward.
-    rewarded = _texts(entry, "rewarded") if "rewarded" in entry else ()
+    # A file without it is of a planner whose levels all get the task's reward.
+    rewarded = _texts(entry, "rewarded", MOST_SEEN) if "rewarded" in entry else ()
     return LevelDescription(name, actions, size, rewarded)
 
 
@@ -245,8 +248,8 @@ def _action(level: str, entry: Any) -> Action:
     kind = _take(entry, "type", str)
     if kind == "continuous":
         return Continuous(
-            name=_take(entry, "name", str),
-            unit=_take(entry, "unit", str),
+            name=_name(entry, "name"),
+            unit=_name(entry, "unit"),
             low=_number(entry, "low"),
             high=_number(entry, "high"),
             exploration=_noise(entry),
@@ -254,19 +257,15 @@ def _action(level: str, entry: Any) -> Action:
         )
     if kind != "discrete":
         raise InvalidDescription(
-            f"its metadata: an action of {level!r} is {kind!r}; should be continuous or discrete"
+            f"its metadata: an action of {level!r} is {kind!r:.60}; should be continuous or discrete"
         )
-    choices = _texts(entry, "choices")
-    if len(choices) > MOST_CHOICES:
-        raise InvalidDescription(
-            f"its metadata: {level!r} has {len(choices)} choices, at most {MOST_CHOICES} may be"
-        )
+    choices = _texts(entry, "choices", MOST_CHOICES)
     exploration = _take(entry, "exploration", dict)
     return Discrete(
-        name=_take(entry, "name", str),
+        name=_name(entry, "name"),
         choices=choices,
         exploration=Epsilon(_number(exploration, "low"), _number(exploration, "high")),
-        mirrored=tuple(_whole(value) for value in _take(entry, "mirrored", list)),
+        mirrored=tuple(_whole(value) for value in _few(entry, "mirrored", MOST_CHOICES)),
     )
 
 
@@ -277,11 +276,33 @@ def _noise(entry: Mapping[str, Any]) -> Noise | Sampled:
     return Noise(_number(noise, "low"), _number(noise, "high"), _number(noise, "damping"))
 
 
-def _texts(document: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    values = _take(document, key, list)
+def _texts(document: Mapping[str, Any], key: str, most: int) -> tuple[str, ...]:
+    values = _few(document, key, most)
     if not all(isinstance(value, str) for value in values):
         raise InvalidDescription(f"its metadata: {key!r} is {values!r:.60}; it should be a list of texts")
+    if not all(map(_is_name, values)):
+        raise InvalidDescription(f"its metadata: a text of {key!r} is too long or not printable")
     return tuple(values)
+
+
+def _few(document: Mapping[str, Any], key: str, most: int) -> list[Any]:
+    values: list[Any] = _take(document, key, list)
+    if len(values) > most:
+        raise InvalidDescription(
+            f"its metadata: {key!r} has {len(values):,} entries, at most {most:,} may be"
+        )
+    return values
+
+
+def _name(document: Mapping[str, Any], key: str) -> str:
+    text: str = _take(document, key, str)
+    if not _is_name(text):
+        raise InvalidDescription(f"its metadata: {key!r} is {text!r:.60}; it should be short and printable")
+    return text
+
+
+def _is_name(text: str) -> bool:
+    return len(text) <= LONGEST_NAME and text.isprintable()
 
 
 def _whole(value: Any) -> int:
@@ -309,4 +330,8 @@ def _number(document: Mapping[str, Any], key: str) -> float:
         number = math.inf
     if not math.isfinite(number):
         raise InvalidDescription(f"its metadata: {key!r} is {value!r:.60}; it should be a finite number")
+    if abs(number) > LARGEST_NUMBER:
+        raise InvalidDescription(
+            f"its metadata: {key!r} is {number:g}; it should be {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}"
+        )
     return number

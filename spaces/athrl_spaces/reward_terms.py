@@ -1,4 +1,4 @@
-"""The terms of the reward by name, and which of them a level of a planner is paid."""
+"""The terms of the reward by name, and which of them a level of a planner gets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ REWARD_TERMS = ("collision", "speed", "fast", "out", "steer", "lateral", "consta
 
 
 def refuse_wrong_terms(level: str, rewarded: Sequence[str]) -> None:
-    """Raise ValueError, in one line, where a level is paid a term that does not exist, or one twice."""
+    """Raise ValueError, in one line, if a level has an unknown term, or one twice."""
     for term in rewarded:
         if term not in REWARD_TERMS:
             terms = ", ".join(REWARD_TERMS)
@@ -18,8 +18,8 @@ def refuse_wrong_terms(level: str, rewarded: Sequence[str]) -> None:
             raise ValueError(f"level {level} is paid the term {term!r} of the reward twice; once is enough")
 
 
-def places_of_terms(rewarded: Sequence[str]) -> tuple[int, ...]:
-    """Places in `REWARD_TERMS` of what a level is paid; none for all of them, the task's reward itself."""
+def indices_of_terms(rewarded: Sequence[str]) -> tuple[int, ...]:
+    """Indices in `REWARD_TERMS` of a level's terms; empty for all of them, the task's reward."""
     if set(rewarded) == set(REWARD_TERMS):
         return ()
     return tuple(place for place, term in enumerate(REWARD_TERMS) if term in rewarded)

@@ -1,4 +1,4 @@
-"""What a policy says of itself survives its JSON, and what anything else says is refused in one line."""
+"""The description of a policy survives its JSON, and invalid JSON is refused in one line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from athrl_spaces import (
     PolicyDescription,
     Sampled,
     action_kind,
-    places_of_terms,
+    indices_of_terms,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -102,9 +102,9 @@ def test_level_of_which_nothing_is_said_is_paid_the_tasks_reward() -> None:
 
 
 def test_terms_that_a_level_is_paid_are_found_by_their_names() -> None:
-    assert places_of_terms(("speed", "collision")) == (0, 1)
-    assert [REWARD_TERMS[place] for place in places_of_terms(("constant", "out"))] == ["out", "constant"]
-    assert places_of_terms(()) == places_of_terms(REWARD_TERMS[::-1]) == ()
+    assert indices_of_terms(("speed", "collision")) == (0, 1)
+    assert [REWARD_TERMS[place] for place in indices_of_terms(("constant", "out"))] == ["out", "constant"]
+    assert indices_of_terms(()) == indices_of_terms(REWARD_TERMS[::-1]) == ()
 
 
 def test_levels_know_their_bounds() -> None:
@@ -161,6 +161,12 @@ ACTION = ("levels", 1, "actions", 0)
         (changed(("levels", 0, "rewarded"), ["out", "out"]), "level intention is paid the term 'out' of the"),
         (changed(("levels", 0, "rewarded"), "speed"), "'rewarded' is 'speed', not of type list"),
         (changed(("levels", 0, "rewarded"), [1]), "'rewarded' is [1]; it should be a list of texts"),
+        (changed(("observation", "image_size"), 10**9), "image_size is 1000000000; it should be at most 512"),
+        (changed(("observation", "channels"), ["x"] * 65), "'channels' has 65 entries, at most 64 may be"),
+        (changed(("levels", 0, "name"), "a\nb"), "'name' is 'a\\nb'; it should be short and printable"),
+        (changed((*ACTION, "high"), 1e300), "'high' is 1e+300; it should be -1e+09 to 1e+09"),
+        (changed((*ACTION, "name"), "x" * 300), "it should be short and printable"),
+        (lambda: " " * 2**21, "its metadata has 2,097,152 characters; at most 1,048,576"),
         (changed((*ACTION, "type"), "fuzzy"), "an action of 'lowest' is 'fuzzy'; should be continuous or"),
         (changed((*ACTION, "type"), KeyError), "'type' is None, not of type str"),
         (changed((*ACTION, "name"), "intention"), "the action 'intention' comes twice"),
@@ -188,7 +194,7 @@ def choosing(**changes: Any) -> str:
     ("text", "message"),
     [
         (choosing(choices=["left", "right"], mirrored=[]), "waypoint is a choice of 2; actions of kind"),
-        (choosing(choices=["here"] * 5000, mirrored=[]), "has 5000 choices, at most 4096 may be"),
+        (choosing(choices=["here"] * 5000, mirrored=[]), "'choices' has 5,000 entries, at most 4,096 may be"),
         (choosing(mirrored=[0.5]), "a mirrored choice is 0.5; it should be a whole number"),
         (choosing(mirrored=7), "its metadata: 'mirrored' is 7, not of type list"),
         (choosing(exploration={"low": 0.5, "high": 2}), "epsilon is 0.5..2.0; it should rise within 0..1"),

@@ -1,15 +1,15 @@
-"""What a chunk says, however it was sent: the same for the actor that made it and the learner's log."""
+"""Identity and content of a chunk, the same at the actor that made it and in the learner's log."""
 
 from __future__ import annotations
 
 import hashlib
 from typing import NamedTuple
 
-from athrl_protocol import athrl_pb2
+from athrl_protocol.messages import athrl_pb2
 
 
 class Identity(NamedTuple):
-    """Which chunk it is."""
+    """Identity of a chunk."""
 
     actor: str
     incarnation: int
@@ -17,11 +17,11 @@ class Identity(NamedTuple):
 
 
 class Content(NamedTuple):
-    """What is in it.
+    """Content of a chunk.
 
     Attributes:
         length: valid steps.
-        digest: SHA-256 of everything but who sent it as what.
+        digest: SHA-256 of everything but its identity.
     """
 
     length: int

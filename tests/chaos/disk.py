@@ -1,4 +1,4 @@
-"""The run's disk: a small one of its own, which gets full and has room again."""
+"""The run's disk: a small separate one that can be filled and emptied."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from types import TracebackType
 from typing import Self
 
 ROOM_BYTES = 2 * 2**30
-"""More than a storm writes; what is not written takes no memory."""
+"""More than a run writes; unused space takes no memory."""
 _PATIENCE_SECONDS = 20.0
 
 
 class Disk:
-    """A file system in memory at `folder`, or that folder as it is where mounting is not permitted.
+    """A file system in memory at `folder`, or the folder itself if mounting is not permitted.
 
-    A context manager; afterwards nothing is mounted, and what was on the disk lies in `folder` if `kept`.
+    A context manager; afterwards nothing is mounted, and the contents are in `folder` if `kept`.
 
     Attributes:
         permitted: whether it could be mounted, so that it can get full.
@@ -44,24 +44,24 @@ class Disk:
             if self._kept:
                 shutil.copytree(self.folder, copy)
         finally:
-            # Lazily, so that nobody who still looks into it keeps it mounted.
+            # Lazily, so that a process that still uses it does not keep it mounted.
             subprocess.run(["umount", "--lazy", self.folder], check=True)
         if self._kept:
             self.folder.rmdir()
             copy.rename(self.folder)
 
     def fill(self, free_bytes: int) -> None:
-        """Leave so much room, now and until `empty`."""
+        """Leave so much free space, now and until `empty`."""
         deadline = time.monotonic() + _PATIENCE_SECONDS
         while not self._mount(f"remount,size={self._used_bytes() + free_bytes}"):
-            # Somebody has written since the room was looked at; no disk is smaller than what is on it.
+            # A process has written since the space was measured; a disk cannot be smaller than its content.
             if time.monotonic() > deadline:
                 raise TimeoutError(f"{self.folder} could not be made full")
 
     def empty(self) -> None:
-        """Have room again."""
+        """Free the space again."""
         if not self._mount(f"remount,size={ROOM_BYTES}"):
-            raise OSError(f"{self.folder} could not be given room again")
+            raise OSError(f"{self.folder} could not be emptied")
 
     def _used_bytes(self) -> int:
         state = os.statvfs(self.folder)

@@ -1,4 +1,4 @@
-"""Reads what the actors wrote down, also while they still write."""
+"""Reads the actors' records, also while they are being written."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Life = tuple[str, int]
 
 @dataclass
 class Evidence:
-    """What the actors whose files lie in `folder` have said so far.
+    """The records so far of the actors whose files are in `folder`.
 
     Attributes:
         produced: every chunk that was made, with its content.
         settled: event -> chunks: acknowledged, refused, given-up, unencoded.
         acknowledged_at: moments (monotonic seconds) of each actor's acknowledgements, in order.
-        counters: of the lives that ended in order.
+        counters: counters of the processes that ended gracefully.
     """
 
     folder: Path
@@ -33,7 +33,7 @@ class Evidence:
     _read: dict[Path, int] = field(default_factory=dict)
 
     def read(self) -> None:
-        """Read what was written since the last time."""
+        """Read new records."""
         for path in sorted(self.folder.glob("*.txt")):
             with path.open("rb") as file:
                 file.seek(self._read.get(path, 0))
@@ -44,7 +44,7 @@ class Evidence:
                     self._read[path] = self._read.get(path, 0) + len(line)
 
     def last_acknowledgement(self, actor: str | None = None) -> float:
-        """Return the moment of the newest one, of anybody or of one actor; -1 without any."""
+        """Return the time of the newest one, of all actors or of one; -1 if there is none."""
         self.read()
         names = [actor] if actor else list(self.acknowledged_at)
         return max(

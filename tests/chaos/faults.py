@@ -1,4 +1,4 @@
-"""Does what a fault says to the run, and says when those it hit do their work again."""
+"""Executes faults, and checks when their targets work again."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from pathlib import Path
 
 from athrl_learner.checkpoint.content import AGENT, MANIFEST, STATE, numbered_checkpoints
 
-from tests.chaos.cutter import Link
 from tests.chaos.disk import Disk
 from tests.chaos.evidence import Evidence
 from tests.chaos.flood import Flood, flood, strangers
+from tests.chaos.forgery import Forgery, forge
+from tests.chaos.link_proxy import Link
 from tests.chaos.observer import Observer
 from tests.chaos.processes import Service
-from tests.chaos.run import EVALUATOR, LEARNER, ROUTER, StormyRun
+from tests.chaos.run import EVALUATOR, LEARNER, ROUTER, ChaosRun
 from tests.chaos.schedule import Fault, Kind
 
 _STOP_SECONDS = 90.0
@@ -31,23 +32,25 @@ _PAUSES = "intake pauses, nothing is lost"
 
 @dataclass
 class Faults:
-    """Everything that faults are done to, and what they came to.
+    """The targets of faults, and the results.
 
     Attributes:
-        floods: what became of their messages.
-        turned_away: connections of strangers, by what they lacked.
-        damaged: names of the checkpoints that were damaged.
-        paused: how often the learner met a full disk and said that intake pauses.
-        failures: what a fault showed to be wrong, one line each.
+        floods: outcomes of the messages of each flood.
+        forgeries: outcomes of the chunks of each forging actor.
+        turned_away: refused connections of strangers, by what they lacked.
+        damaged: names of the damaged checkpoints.
+        paused: how often the learner reported that intake pauses because of a full disk.
+        failures: what went wrong during faults, one line each.
     """
 
-    run: StormyRun
+    run: ChaosRun
     disk: Disk
     services: dict[str, Service]
     links: dict[str, Link]
     observer: Observer
     evidence: Evidence
     floods: list[Flood] = field(default_factory=list)
+    forgeries: list[Forgery] = field(default_factory=list)
     turned_away: dict[str, int] = field(default_factory=dict)
     damaged: list[str] = field(default_factory=list)
     paused: int = 0
@@ -55,7 +58,7 @@ class Faults:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def happen(self, fault: Fault) -> None:
-        """Let the fault begin and end; what died is started again."""
+        """Execute a fault; killed services are restarted."""
         service = self.services[fault.target]
         match fault.kind:
             case Kind.LEARNER_KILLED | Kind.ACTOR_KILLED | Kind.EVALUATOR_KILLED | Kind.ROUTER_KILLED:
@@ -81,18 +84,20 @@ class Faults:
                 self._flood(fault)
             case Kind.STRANGERS:
                 self._add(strangers(self.run, fault.seconds))
+            case Kind.FORGERY:
+                self._forge(fault)
             case _:
                 self._disturb(self.links[fault.target], fault)
 
     def recovered(self, fault: Fault, since: float) -> bool:
-        """Whether those that the fault hit have done their work after the moment `since`."""
+        """Whether the targets of the fault have worked after the time `since`."""
         if fault.target == EVALUATOR:
-            return self.observer.heard_at("evaluator", EVALUATOR) > since
+            return self.observer.last_report_at("evaluator", EVALUATOR) > since
         hit = {LEARNER: self.run.actors, ROUTER: self.run.behind_router}.get(fault.target, (fault.target,))
         return all(self.evidence.last_acknowledgement(actor) > since for actor in hit)
 
     def _fill_disk(self, fault: Fault) -> None:
-        """Leave no room, or less than is kept for checkpoints, from when the learner says so for a while."""
+        """Fill the disk, or leave less than the reserve for checkpoints, until the learner reports it."""
         learner = self.services[LEARNER]
         reserve = self.run.settings().durability.reserve_mebibytes * 2**20
         told = learner.said().count(_PAUSES)
@@ -106,10 +111,12 @@ class Faults:
             self.disk.empty()
 
     def _kill_while_full(self, learner: Service) -> None:
-        """Let the learner die; its successor has to come back though there is no room."""
+        """Kill the learner; the restarted one must work although the disk is full."""
         learner.kill()
         learner.start()
-        if not within(_RETURN_SECONDS, lambda: self.observer.heard_at(LEARNER, LEARNER) > learner.began_at):
+        if not within(
+            _RETURN_SECONDS, lambda: self.observer.last_report_at(LEARNER, LEARNER) > learner.began_at
+        ):
             self._fail(f"the learner was not back within {_RETURN_SECONDS:.0f} s while its disk was full")
 
     def _disturb(self, link: Link, fault: Fault) -> None:
@@ -130,11 +137,11 @@ class Faults:
             self._fail(f"{service.name} did not end within {_STOP_SECONDS:.0f} s after SIGTERM")
             service.kill()
         elif code != 0 and time.monotonic() - service.began_at > _STOP_SECONDS:
-            # While it still starts, Python itself may end it.
+            # While it is starting, Python itself may end it.
             self._fail(f"{service.name} ended with exit code {code} after SIGTERM")
 
     def _damage(self, chance: random.Random) -> None:
-        """Spoil the newest checkpoint, if there is another one to go on from."""
+        """Damage the newest checkpoint, if there is another one to resume from."""
         checkpoints = [path for _, path in numbered_checkpoints(self.run.run_folder / "checkpoints")]
         whole = [path for path in checkpoints if path.name not in self.damaged]
         if len(whole) < 2 or whole[-1] != checkpoints[-1]:
@@ -158,7 +165,15 @@ class Faults:
             value for key, value in said.items() if re.fullmatch(rf"intake/invalid/\w+/{name}", key)
         )
         if learner.starts == life and counted < counts.refused - counts.settled_answered:
-            self._fail(f"the learner counted {counted:.0f} refusals of {name}, which heard {counts.refused}")
+            self._fail(f"the learner counted {counted:.0f} refusals of {name}, which got {counts.refused}")
+
+    def _forge(self, fault: Fault) -> None:
+        with self._lock:
+            counts = Forgery(f"forger-{len(self.forgeries) + 1}")
+            self.forgeries.append(counts)
+        forge(self.run, counts, fault.seed, fault.seconds)
+        if counts.admitted:
+            self._fail(f"{counts.admitted} chunks of {counts.name} from the far future were taken in")
 
     def _add(self, turned_away: dict[str, int]) -> None:
         with self._lock:
@@ -171,7 +186,7 @@ class Faults:
 
 
 def within(seconds: float, condition: Callable[[], bool]) -> bool:
-    """Whether the condition came true within so many seconds."""
+    """Whether the condition became true within so many seconds."""
     deadline = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > deadline:
@@ -181,7 +196,7 @@ def within(seconds: float, condition: Callable[[], bool]) -> bool:
 
 
 def _spoil(path: Path, chance: random.Random) -> None:
-    """Change a bit, cut the end off, or remove the file."""
+    """Flip a bit, truncate the file, or remove it."""
     content = bytearray(path.read_bytes())
     how = chance.choice(["bit", "bit", "end", "file"])
     if how == "file":

@@ -1,6 +1,6 @@
-"""Messages and connections that must not get in.
+"""Messages and connections that must be refused.
 
-The messages are sent with an actor's own certificate, so nothing but the learner's checks is in their way.
+The messages are sent with an actor's certificate, so only the learner's checks can refuse them.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ from typing import NamedTuple
 import numpy as np
 import zenoh
 import zstandard
-from athrl_learner.segments import Kind, Record, SegmentReader, numbered_segments
-from athrl_protocol import ProtocolError, athrl_pb2, fetch_run_file, open_session
-from athrl_protocol.certificates import find_certificates
-from athrl_protocol.keys import Keys
-from athrl_protocol.schema import encode_message
+from athrl_learner.log import Kind, Record, SegmentReader, numbered_segments
+from athrl_protocol import ProtocolError, fetch_run_file, open_session
+from athrl_protocol.messages import athrl_pb2
+from athrl_protocol.messages.keys import Keys
+from athrl_protocol.messages.schema import encode_message
+from athrl_protocol.security.certificates import find_certificates
 
 from tests.chaos.content import read_chunk
-from tests.chaos.cutter import HOST
-from tests.chaos.run import RUN, StormyRun
+from tests.chaos.link_proxy import HOST
+from tests.chaos.run import RUN, ChaosRun
 
 _ANSWER_SECONDS = 2.0
 _JOIN_SECONDS = 20.0
@@ -40,17 +41,17 @@ _BOMB_BYTES = 60 * 2**20
 
 @dataclass
 class Flood:
-    """What became of a flood's messages.
+    """Outcomes of a flood's messages.
 
     Attributes:
-        name: under which it was sent.
+        name: name of the sender.
         sent: messages.
-        refused: that the learner answered with a refusal for good.
-        settled: of those sent, the well formed ones that do not fit the run: they enter the ledger.
-        settled_answered: of those, the ones that were answered.
-        accepted: that were acknowledged; must be none.
-        unanswered: dropped on the link for their size, or asked while the learner was away.
-        repeated: chunks that the learner has, sent once more and acknowledged once more.
+        refused: permanently refused by the learner.
+        settled: of those sent, well-formed ones that do not fit the run: they enter the ledger.
+        settled_answered: of those, the answered ones.
+        accepted: acknowledged; must be 0.
+        unanswered: dropped for their size, or sent while the learner was away.
+        repeated: known chunks, sent again and acknowledged again.
     """
 
     name: str
@@ -64,34 +65,34 @@ class Flood:
 
 
 class Malformed(NamedTuple):
-    """A message that must be refused; by whom, and whether the refusal is written into the ledger."""
+    """A message that must be refused; its sender, and whether the refusal enters the ledger."""
 
     payload: bytes
     sender: str
     settles: bool = False
 
 
-def flood(run: StormyRun, counts: Flood, seed: int, seconds: float) -> None:
-    """Send malformed messages for so long, known ones among them, and count what became of them."""
+def flood(run: ChaosRun, counts: Flood, seed: int, seconds: float) -> None:
+    """Send malformed messages for some seconds, and known chunks among them; count the outcomes."""
     chance = random.Random(seed)
-    messages, known = malformed_messages(counts.name, chance), _known_messages(run, chance)
-    with contextlib.suppress(zenoh.ZError, ProtocolError), _as_actor(run) as session:
-        # Who serves the run file takes chunks, too; before that nobody would be flooded.
+    messages, known = malformed_messages(counts.name, chance), known_messages(run, chance)
+    with contextlib.suppress(zenoh.ZError, ProtocolError), as_actor(run) as session:
+        # A learner that serves the run file also accepts chunks.
         fetch_run_file(session, RUN, timeout=_JOIN_SECONDS)
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             _send(session, counts, next(messages))
             if known and chance.random() < _REPEATED:
                 _repeat(session, counts, chance.choice(known))
-        # Beyond what the link takes; last, because nobody answers it.
+        # Beyond the limit of the link; last, because it gets no answer.
         _send(session, counts, Malformed(bytes(2**24), counts.name), timeout=0.5)
 
 
 def malformed_messages(name: str, chance: random.Random) -> Iterator[Malformed]:
-    """Yield messages without end, all of which have to be refused.
+    """Yield messages without end, all of which must be refused.
 
-    Who sends a well formed one has a name of its own for it, so that it is the first of its incarnation and
-    nothing depends on what became of those before; of these there are few, as every sender is remembered.
+    Each well-formed message has its own sender, so that it is the first of its incarnation and independent of
+    earlier messages; there are few of these, as the ledger keeps every sender.
     """
     settling = 0
     while True:
@@ -102,8 +103,8 @@ def malformed_messages(name: str, chance: random.Random) -> Iterator[Malformed]:
         yield Malformed(make(_fitting(sender), chance), sender, settles)
 
 
-def strangers(run: StormyRun, seconds: float) -> dict[str, int]:
-    """Connect without a certificate, in plain TCP, and without a word; return how many were turned away."""
+def strangers(run: ChaosRun, seconds: float) -> dict[str, int]:
+    """Connect without a certificate, in plain TCP, and without data; return how many were refused."""
     turned_away = {"plain": 0, "no_certificate": 0}
     deadline = time.monotonic() + seconds
     with contextlib.ExitStack() as stack:
@@ -128,14 +129,14 @@ def _send(
         if reply.ok is not None:
             counts.accepted += 1
             answered = True
-        elif reply.err is not None and _is_refusal(reply.err.payload.to_bytes()):
+        elif reply.err is not None and is_refusal(reply.err.payload.to_bytes()):
             counts.refused += 1
             counts.settled_answered += message.settles
             answered = True
     counts.unanswered += not answered
 
 
-def _known_messages(run: StormyRun, chance: random.Random) -> list[bytes]:
+def known_messages(run: ChaosRun, chance: random.Random) -> list[bytes]:
     """Return the chunks of one segment of the log, as they arrived."""
     segments = list(numbered_segments(run.archive).items())
     if not segments:
@@ -146,27 +147,29 @@ def _known_messages(run: StormyRun, chance: random.Random) -> list[bytes]:
 
 
 def _repeat(session: zenoh.Session, counts: Flood, message: bytes) -> None:
-    """Send what its actor was told is safe, as that actor would if it had not heard it."""
+    """Send an acknowledged chunk again, as an actor that missed the acknowledgement would."""
     identity, _ = read_chunk(message)
     key = Keys(RUN).experience(identity.actor)
     for reply in session.get(key, payload=message, timeout=_ANSWER_SECONDS):
         counts.repeated += reply.ok is not None
 
 
-def _is_refusal(payload: bytes) -> bool:
-    with contextlib.suppress(Exception):  # Zenoh's own time-out is no message of ours
+def is_refusal(payload: bytes) -> bool:
+    """Whether an error that answers a chunk is the learner's, which refuses it for good."""
+    with contextlib.suppress(Exception):  # Zenoh's own time-out is not one of our messages
         return athrl_pb2.Refusal.FromString(payload).reason == athrl_pb2.Refusal.INVALID
     return False
 
 
-def _as_actor(run: StormyRun) -> zenoh.Session:
+def as_actor(run: ChaosRun) -> zenoh.Session:
+    """Return a session with the certificate of the actors."""
     return open_session(
         connect=run.address, timeout=_JOIN_SECONDS, role="actor", certificates=run.certificates
     )
 
 
-def _turned_away(run: StormyRun, *, secure: bool) -> bool:
-    """Whether somebody who says something the learner does not understand gets nothing out of it."""
+def _turned_away(run: ChaosRun, *, secure: bool) -> bool:
+    """Whether a client that sends unknown data gets no answer."""
     try:
         with socket.create_connection((HOST, run.port), timeout=1.0) as plain:
             connection: socket.socket = plain
@@ -182,7 +185,7 @@ def _turned_away(run: StormyRun, *, secure: bool) -> bool:
 
 
 def _fitting(sender: str) -> athrl_pb2.Chunk:
-    """Return a message that is a chunk of the run, to be spoilt."""
+    """Return a valid chunk of the run, to be made invalid."""
     time_, size = 10, 32
     images = zstandard.compress(bytes((time_ + 1) * size * size * 4))
     message = athrl_pb2.Chunk(
@@ -207,7 +210,7 @@ def _fitting(sender: str) -> athrl_pb2.Chunk:
             rewards=bytes(4 * time_),
             states=bytes(4 * 64),
         )
-    encode_message(message)  # puts the schema in
+    encode_message(message)  # sets the schema
     return message
 
 

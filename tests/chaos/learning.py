@@ -1,4 +1,4 @@
-"""Whether the policy still improved: the first and the last one on the same episodes."""
+"""Checks that the policy improved: the first and the last one on the same episodes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.chaos.run import StormyRun
+from tests.chaos.run import ChaosRun
 
 EPISODES = 24
 _SECONDS = 400.0
@@ -21,7 +21,7 @@ class Return(NamedTuple):
     ci95: float
 
 
-def evaluate(run: StormyRun, policy: Path) -> Return:
+def evaluate(run: ChaosRun, policy: Path) -> Return:
     """Drive episodes with a policy's file, without exploration."""
     result = subprocess.run(
         [
@@ -38,5 +38,5 @@ def evaluate(run: StormyRun, policy: Path) -> Return:
 
 
 def improved(first: Return, last: Return) -> bool:
-    """Whether the last one is better by more than chance explains."""
+    """Whether the last policy is significantly better."""
     return last.mean - first.mean > (first.ci95**2 + last.ci95**2) ** 0.5

@@ -1,4 +1,4 @@
-"""Looks on: what the services say of themselves, and copies of what the learner will remove."""
+"""Observes the run: metrics of the services, and copies of files that the learner will remove."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from types import TracebackType
 from typing import Self
 
 import zenoh
-from athrl_learner.segments import numbered_segments
+from athrl_learner.log import numbered_segments
 from athrl_protocol import MetricsReport, MetricsSubscriber, open_session
 
-from tests.chaos.run import RUN, StormyRun
+from tests.chaos.run import RUN, ChaosRun
 
-_GLANCE_SECONDS = 0.1
+_POLL_SECONDS = 0.1
 
 
 class Observer:
-    """A viewer of the run, past all links, for the whole storm; a context manager.
+    """A viewer of the run that bypasses all links; a context manager.
 
     Attributes:
         first_policy: copy of the first policy that the learner wrote.
-        not_finite: metrics that were no numbers.
+        not_finite: metrics that were not finite.
     """
 
-    def __init__(self, run: StormyRun, timeout: float) -> None:
+    def __init__(self, run: ChaosRun, timeout: float) -> None:
         self._run = run
         self._timeout = timeout
         self._lock = threading.Lock()
@@ -55,8 +55,8 @@ class Observer:
         if self._session is not None:
             self._session.close()
 
-    def heard_at(self, role: str, name: str) -> float:
-        """Return when (monotonic seconds) the service last said something; -1 for never."""
+    def last_report_at(self, role: str, name: str) -> float:
+        """Return when (monotonic seconds) the service last reported; -1 if it never did."""
         with self._lock:
             return self._newest.get((role, name), (-1.0, {}))[0]
 
@@ -66,7 +66,7 @@ class Observer:
             return dict(self._newest.get((role, name), (-1.0, {}))[1])
 
     def archive(self) -> None:
-        """Give every segment a second name, under which it outlives the learner's own."""
+        """Hard-link every segment, so that it stays when the learner removes it."""
         for path in numbered_segments(self._run.run_folder / "experience").values():
             with contextlib.suppress(FileExistsError, FileNotFoundError):
                 os.link(path, self._run.archive / path.name)
@@ -75,7 +75,7 @@ class Observer:
             shutil.copyfile(policy, self.first_policy)
 
     def _archive_until_over(self) -> None:
-        while not self._over.wait(_GLANCE_SECONDS):
+        while not self._over.wait(_POLL_SECONDS):
             self.archive()
 
     def _take(self, report: MetricsReport) -> None:

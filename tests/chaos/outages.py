@@ -1,4 +1,4 @@
-"""When what was down, how long it took to recover, and how long nothing moved although all was well."""
+"""Outages, recovery times, and the longest stall without a fault."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class Outage:
     """A group of faults as it happened; all times are the machine's monotonic seconds.
 
     Attributes:
-        group: which one.
-        began: when the first fault came.
-        ended: when the last one was over: what died was started again, what stood still goes on.
-        recovered: when everybody that was hit had done its work again; None if that was not waited for.
+        group: the group of faults.
+        began: when the first fault began.
+        ended: when the last fault ended: killed services were restarted, paused ones resumed.
+        recovered: when all targets worked again; None if that was not waited for.
     """
 
     group: Group
@@ -30,7 +30,7 @@ class Outage:
 
     @property
     def kind(self) -> str:
-        """What it was, for a table."""
+        """Kind of the outage, for a table."""
         return self.group.faults[0].kind.value if len(self.group.faults) == 1 else "two at once"
 
 
@@ -43,7 +43,7 @@ class Recovery(TypedDict):
 
 
 def recovery_table(outages: Iterable[Outage]) -> dict[str, Recovery]:
-    """Return recovery times by kind, from the fault's end to the next work of those it hit."""
+    """Return recovery times by kind, from the end of a fault until its targets work again."""
     seconds: dict[str, list[float]] = defaultdict(list)
     for outage in outages:
         if outage.recovered is not None:
@@ -57,16 +57,16 @@ def recovery_table(outages: Iterable[Outage]) -> dict[str, Recovery]:
 
 
 def longest_stall(moments: Iterable[float], outages: Iterable[Outage], began: float, ended: float) -> float:
-    """Return the longest time without an acknowledgement while nothing was down.
+    """Return the longest time without an acknowledgement outside of outages.
 
-    Something is down from a fault's beginning until what it hit works again, or, where that was not waited
+    An outage lasts from the beginning of a fault until its targets work again, or, if that was not waited
     for, until the next faults.
 
     Args:
-        moments: of all acknowledgements.
-        outages: in their order; they do not overlap.
-        began: when the whole run worked.
-        ended: when the end was ordered.
+        moments: times of all acknowledgements.
+        outages: all outages in order; they do not overlap.
+        began: when all services worked.
+        ended: when the end was requested.
     """
     calm: list[tuple[float, float]] = []
     since: float | None = began

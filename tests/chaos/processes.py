@@ -1,4 +1,4 @@
-"""The run's processes: started as a cluster would, started again when they die, and all gone at the end."""
+"""The run's processes: started and restarted as in a cluster, and all ended at the end."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 LIFELINE = "ATHRL_LIFELINE"
-"""Tells a service that its standard input ends with the process that started it."""
+"""Environment variable that tells a service to end with the process that started it."""
 
 BACK_OFF_SECONDS = 1.0
 _KILLED_WITHIN = 10.0
 
 
 class Ending(NamedTuple):
-    """A service that ended without being told to."""
+    """An exit of a service that was not requested."""
 
     service: str
     code: int
@@ -29,13 +29,13 @@ class Ending(NamedTuple):
 
 
 class Service:
-    """One service, which lives several times; its output goes into one file."""
+    """One service, which may be restarted; all output goes to one file."""
 
     def __init__(self, name: str, words: list[str], folder: Path, environment: Mapping[str, str]) -> None:
         self.name = name
         self.log = folder / f"{name}.log"
         self.wanted = False
-        self.began_at = 0.0  # of this life, monotonic
+        self.began_at = 0.0  # of the current process, monotonic
         self.starts = 0
         self.endings: list[Ending] = []
         self._words = words
@@ -46,7 +46,7 @@ class Service:
         self._lock = threading.RLock()
 
     def start(self) -> None:
-        """Begin a life."""
+        """Start the process."""
         with self._lock, self.log.open("ab") as output:
             self.wanted = True
             self.starts += 1
@@ -62,29 +62,29 @@ class Service:
             )
 
     def kill(self) -> None:
-        """End it at this instruction, and do not start it again."""
+        """Kill the process, and do not restart it."""
         with self._lock:
             self.wanted = False
             self._signal(signal.SIGKILL)
             self._wait(_KILLED_WITHIN)
 
     def stop(self, seconds: float) -> int | None:
-        """Ask it to end in order, and return its exit code; None if it did not within so many seconds."""
+        """Ask it to end gracefully; return its exit code, None if it did not end within `seconds`."""
         with self._lock:
             self.wanted = False
             self._signal(signal.SIGTERM)
             return self._wait(seconds)
 
     def pause(self) -> None:
-        """Let it stand still."""
+        """Suspend the process."""
         self._signal(signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Let it go on."""
+        """Resume the process."""
         self._signal(signal.SIGCONT)
 
-    def look_after(self) -> None:
-        """Start it again if it ended by itself."""
+    def monitor(self) -> None:
+        """Restart it if it ended without a request."""
         with self._lock:
             if not self.wanted or self._process is None or self._process.poll() is None:
                 return
@@ -94,7 +94,7 @@ class Service:
             self.start()
 
     def end(self) -> None:
-        """Make sure that nothing of it is left."""
+        """End the process and its child processes."""
         with self._lock:
             self.wanted = False
             if self._process is not None:
@@ -104,11 +104,11 @@ class Service:
                 self._close_lifeline()
 
     def said(self) -> str:
-        """Return everything that it has written in all its lives."""
+        """Return the output of all its processes."""
         return self.log.read_text(errors="replace") if self.log.exists() else ""
 
     def last_line(self) -> str:
-        """Return what it said last."""
+        """Return the last line of its output."""
         lines = self.said().strip().splitlines()
         return lines[-1] if lines else ""
 
@@ -132,12 +132,12 @@ class Service:
 
 
 class Supervisor:
-    """Looks after all services from a thread of its own; a context manager that leaves none behind."""
+    """Restarts services from a separate thread; a context manager that ends all of them."""
 
     def __init__(self, services: list[Service]) -> None:
         self._services = services
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._look_after_all, name="supervisor", daemon=True)
+        self._thread = threading.Thread(target=self._monitor_all, name="supervisor", daemon=True)
 
     def __enter__(self) -> Supervisor:
         self._thread.start()
@@ -151,7 +151,7 @@ class Supervisor:
         for service in self._services:
             service.end()
 
-    def _look_after_all(self) -> None:
+    def _monitor_all(self) -> None:
         while not self._over.wait(0.1):
             for service in self._services:
-                service.look_after()
+                service.monitor()

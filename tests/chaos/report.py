@@ -1,4 +1,4 @@
-"""Holds a storm to account, and says what it came to: tables for people, one object for machines."""
+"""Audits a run with faults and reports the result: tables for people, one object for machines."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from athrl.errors import EXPECTED_ERROR
 from rich.console import Console
 from rich.table import Table
 
+from tests.chaos.audit import Account, Log, compare, imbalances, read_log
+from tests.chaos.fault_injection import Observed, possible_kinds
 from tests.chaos.learning import evaluate, improved
 from tests.chaos.outages import longest_stall, recovery_table
-from tests.chaos.reckoning import Account, Log, compare, imbalances, read_log
-from tests.chaos.restored import replay_differences
-from tests.chaos.run import LEARNER, StormyRun
+from tests.chaos.replay_check import replay_differences
+from tests.chaos.run import LEARNER, ChaosRun
 from tests.chaos.schedule import FAMILIES, Kind
-from tests.chaos.storm import Observed, possible_kinds
 
 STALL_SECONDS = 60.0
-"""Nothing may stand still for so long while all is well, however busy the machine is."""
+"""Limit without acknowledgements while there is no fault, even on a busy machine."""
 _MOST_LINES = 10
 
 
-def reckon(run: StormyRun, seen: Observed) -> dict[str, Any]:
-    """Return everything that a storm came to; `failures` is empty if every account balances."""
+def summarise(run: ChaosRun, seen: Observed) -> dict[str, Any]:
+    """Return all results; `failures` is empty if everything agrees."""
     log = read_log(run.archive)
     account = compare(seen.evidence, log)
     moments = [moment for of in seen.evidence.acknowledged_at.values() for moment in of]
@@ -33,11 +33,7 @@ def reckon(run: StormyRun, seen: Observed) -> dict[str, Any]:
     failures = [
         *seen.failures,
         *_failures(run, seen, log, account),
-        *(
-            [f"nothing was acknowledged for {stall:.0f} s while all was well"]
-            if stall > STALL_SECONDS
-            else []
-        ),
+        *([f"nothing was acknowledged for {stall:.0f} s without a fault"] if stall > STALL_SECONDS else []),
         *([f"the policy did not improve: {learned}"] if learned and not learned["improved"] else []),
     ]
     floods = seen.faults.floods
@@ -56,6 +52,9 @@ def reckon(run: StormyRun, seen: Observed) -> dict[str, Any]:
         "malformed_unanswered": sum(flood.unanswered for flood in floods),
         "known_repeated": sum(flood.repeated for flood in floods),
         "strangers_turned_away": seen.faults.turned_away,
+        "forged_sent": sum(forgery.sent for forgery in seen.faults.forgeries),
+        "forged_taken_in": sum(forgery.taken_in for forgery in seen.faults.forgeries),
+        "forged_refused": sum(forgery.refused for forgery in seen.faults.forgeries),
         "checkpoints_damaged": len(seen.faults.damaged),
         "ended_by_themselves": [ending._asdict() for ending in seen.endings],
         "updates": [int(count) for count in seen.updates],
@@ -65,8 +64,8 @@ def reckon(run: StormyRun, seen: Observed) -> dict[str, Any]:
 
 
 def draw(report: dict[str, Any], console: Console) -> None:
-    """Print the recovery times and what is wrong."""
-    table = Table(title="recovery, seconds from the fault's end to the next work of those it hit")
+    """Print recovery times and failures."""
+    table = Table(title="recovery, seconds from the end of a fault until its targets work again")
     for heading in ("fault", "count", "median", "worst"):
         table.add_column(heading, justify="left" if heading == "fault" else "right")
     for kind, times in report["recovery"].items():
@@ -76,40 +75,40 @@ def draw(report: dict[str, Any], console: Console) -> None:
         console.print(f"FAILED: {failure}", markup=False, highlight=False)
 
 
-def _failures(run: StormyRun, seen: Observed, log: Log, account: Account) -> list[str]:
+def _failures(run: ChaosRun, seen: Observed, log: Log, account: Account) -> list[str]:
     before, after = seen.updates
     crashed = [ending for ending in seen.endings if ending.code not in (0, EXPECTED_ERROR)]
     found = [
         *log.problems[:_MOST_LINES],
         *imbalances(seen.evidence, log, run.run_folder / "checkpoints", seen.faults.floods),
         *replay_differences(run.run_folder, run.settings(), log),
-        *_unnamed(run, seen),
+        *_unreported_damage(run, seen),
         *(f"{ending.service} crashed: {ending.last_line}" for ending in crashed),
-        *(f"no number: {metric}" for metric in sorted(seen.not_finite)[:_MOST_LINES]),
+        *(f"not finite: {metric}" for metric in sorted(seen.not_finite)[:_MOST_LINES]),
     ]
     for what in ("lost", "twice", "foreign"):
         if count := getattr(account, what):
             found.append(f"{count} chunks {what}")
     full = [outage for outage in seen.outages if any(f.kind in FAMILIES["disk"] for f in outage.group.faults)]
     if full and not seen.faults.paused:
-        found.append("the disk was full, and the learner never said that intake pauses")
+        found.append("the disk was full, and the learner did not report that intake pauses")
     if after <= before:
-        found.append(f"training stood still: {before:.0f} updates before, {after:.0f} after")
+        found.append(f"training made no progress: {before:.0f} updates before, {after:.0f} after")
     return found
 
 
-def _unnamed(run: StormyRun, seen: Observed) -> list[str]:
-    """Damaged checkpoints that no learner has named."""
+def _unreported_damage(run: ChaosRun, seen: Observed) -> list[str]:
+    """Damaged checkpoints that the learner did not report."""
     said = (run.logs / f"{LEARNER}.log").read_text(errors="replace").splitlines()
     named = [line for line in said if "using the one before" in line]
     return [
-        f"{name} was damaged, and no learner said so"
+        f"{name} was damaged, and the learner did not report it"
         for name in seen.faults.damaged
         if not any(name in line for line in named)
     ]
 
 
-def _learned(run: StormyRun) -> dict[str, Any]:
+def _learned(run: ChaosRun) -> dict[str, Any]:
     first = evaluate(run, run.folder / "first.onnx")
     last = evaluate(run, run.run_folder / "policies" / "latest.onnx")
     return {"first": first._asdict(), "last": last._asdict(), "improved": improved(first, last)}

@@ -1,4 +1,4 @@
-"""The run that the storm comes over: its folder, its settings, its services and their certificates."""
+"""The run for fault injection: its folder, settings, services and certificates."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from athrl.certificates import make_all
-from athrl.runs import know_planners
+from athrl.runs import declare_installed_planners
 from athrl_protocol.run_file import RunFile, read_run_file
 
-from tests.chaos.cutter import HOST, Link
+from tests.chaos.link_proxy import HOST, Link
 from tests.chaos.processes import Service
 
-RUN = "storm"
+RUN = "chaos"
 LEARNER, EVALUATOR, ROUTER = "learner", "evaluator", "router"
 LONG_MINUTES = 5.0
-"""From here on a storm has to leave a better policy behind."""
+"""From this duration on the policy must improve."""
 
-# It never ends by itself, trains on little, wraps its replay round, and ends segments and checkpoints often.
+# Endless, with little training, a replay that wraps around, and frequent segments and checkpoints.
 _SETTINGS = {
     "run.environment_steps": 1_000_000_000,
     "environment.vehicles": 10,
@@ -46,15 +46,15 @@ _LONG = {"replay.capacity": 40_000, "learner.samples_per_insert": 8.0, "planner.
 
 
 @dataclass(frozen=True)
-class StormyRun:
-    """What is on the disk before anything is started.
+class ChaosRun:
+    """Files and addresses before the services are started.
 
     Attributes:
-        folder: of the storm; holds all the others.
-        port: at which the learner listens.
-        router_port: at which the router listens.
-        actors: their names; the last one is behind the router.
-        long: whether the storm is one after which the policy has to be better.
+        folder: folder with all others.
+        port: port of the learner.
+        router_port: port of the router.
+        actors: names of the actors; the last one is behind the router.
+        long: whether the policy must improve.
     """
 
     folder: Path
@@ -65,56 +65,56 @@ class StormyRun:
 
     @property
     def certificates(self) -> Path:
-        """Of every role."""
+        """Folder of the certificates of all roles."""
         return self.folder / "certificates"
 
     @property
     def run_folder(self) -> Path:
-        """The run's own."""
+        """Folder of the run."""
         return self.disk / "runs" / RUN
 
     @property
     def disk(self) -> Path:
-        """What the run writes lies here; a disk of its own, where that can be had."""
+        """Everything that the run writes; a separate disk if possible."""
         return self.folder / "disk"
 
     @property
     def evidence(self) -> Path:
-        """Where actors write down what they know."""
+        """Folder of the actors' records."""
         return self.folder / "evidence"
 
     @property
     def archive(self) -> Path:
-        """Where every segment of the log stays, also those that the learner needs no more.
+        """Folder of all segments of the log, including those that the learner has removed.
 
-        On the run's disk, so that a segment is there by a second name.
+        On the run's disk, for hard links.
         """
         return self.disk / "archive"
 
     @property
     def logs(self) -> Path:
-        """Where each service's output goes."""
+        """Folder of the services' output."""
         return self.folder / "logs"
 
     @property
     def address(self) -> str:
-        """The learner's own, past all links."""
+        """The learner's address, bypassing all links."""
         return f"tcp/{HOST}:{self.port}"
 
     @property
     def behind_router(self) -> tuple[str, ...]:
-        """The actors whose way to the learner is through the router."""
+        """Actors that connect to the router."""
         return self.actors[-1:]
 
     @property
     def next_ports(self) -> dict[str, int]:
-        """For each service the port of the next one on its way to the learner."""
+        """For each service the port to which its link connects."""
         clients = (*self.actors, EVALUATOR, ROUTER)
         return {name: self.router_port if name in self.behind_router else self.port for name in clients}
 
     @property
     def targets(self) -> dict[str, list[str]]:
-        """Which services each family of faults may hit."""
+        """Possible targets of each family of faults."""
         return {
             "learner": [LEARNER],
             "actor": list(self.actors),
@@ -139,7 +139,7 @@ class StormyRun:
 
     def settings(self) -> RunFile:
         """Return the run file as the learner has it."""
-        know_planners()
+        declare_installed_planners()
         return read_run_file(None, self.overrides)
 
     def services(self, links: dict[str, Link]) -> list[Service]:
@@ -149,8 +149,8 @@ class StormyRun:
         router = ["athrl", "router", "--name", ROUTER, "--listen", f"tcp/{HOST}:{self.router_port}"]
         services.append(self._service(ROUTER, [*router, *_where(links[ROUTER])]))
         for name in self.actors:
-            witness = ["tests.chaos.witness", str(self.evidence / f"{name}.txt")]
-            services.append(self._service(name, [*witness, "actor", "--name", name, *_where(links[name])]))
+            recorder = ["tests.chaos.recording_actor", str(self.evidence / f"{name}.txt")]
+            services.append(self._service(name, [*recorder, "actor", "--name", name, *_where(links[name])]))
         evaluator = ["athrl", "evaluator", "--name", EVALUATOR, "--folder", str(self.disk / "runs")]
         services.append(self._service(EVALUATOR, [*evaluator, *_where(links[EVALUATOR])]))
         return services
@@ -160,10 +160,10 @@ class StormyRun:
         return Service(name, words, self.logs, environment)
 
 
-def lay_out(folder: Path, actors: int, *, long: bool) -> StormyRun:
-    """Make the folder's folders and the certificates, and find free ports."""
+def lay_out(folder: Path, actors: int, *, long: bool) -> ChaosRun:
+    """Make the subfolders and the certificates, and find free ports."""
     names = tuple(f"actor-{number}" for number in range(1, actors + 1))
-    run = StormyRun(folder.resolve(), *_free_ports(2), names, long)
+    run = ChaosRun(folder.resolve(), *_free_ports(2), names, long)
     for path in (run.evidence, run.archive, run.logs):
         path.mkdir(parents=True)
     make_all(run.certificates, [HOST, "localhost"], 2)

@@ -1,4 +1,4 @@
-"""Which faults come, in which order and how long: all of it follows from the seed."""
+"""The schedule of faults: kinds, order and durations, all determined by the seed."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 TWO_AT_ONCE = 0.25
-"""Chance that two faults begin together."""
-NO_MERCY = 0.2
-"""Chance that the next faults come before everybody has recovered from these."""
+"""Probability that two faults begin together."""
+NO_RECOVERY = 0.2
+"""Probability that the next faults begin before the services have recovered."""
 LEASE_SECONDS = 5.0
-"""After so long Zenoh gives a silent peer up: pauses and holes are shorter or longer than that."""
+"""Zenoh's lease, after which a silent peer is given up: pauses and outages are shorter or longer."""
 
 
 class Kind(StrEnum):
-    """What can go wrong."""
+    """Kinds of faults."""
 
     LEARNER_KILLED = "learner killed"
     LEARNER_PAUSED = "learner paused"
@@ -40,6 +40,7 @@ class Kind(StrEnum):
     DISK_FULL_LEARNER_KILLED = "disk full, learner killed"
     FLOOD = "flood of malformed messages"
     STRANGERS = "connections of strangers"
+    FORGERY = "chunks forged under an actor's name"
 
 
 FAMILIES: dict[str, tuple[Kind, ...]] = {
@@ -55,9 +56,9 @@ FAMILIES: dict[str, tuple[Kind, ...]] = {
         Kind.LINK_SLOW,
     ),
     "disk": (Kind.DISK_FULL, Kind.DISK_FULL_LEARNER_KILLED),
-    "intruder": (Kind.FLOOD, Kind.STRANGERS),
+    "intruder": (Kind.FLOOD, Kind.STRANGERS, Kind.FORGERY),
 }
-"""What can happen to whom. One kind of each family comes first, so that also a short storm has them all."""
+"""Families of faults by target. One kind of each family comes first, so that a short run has them all."""
 
 _RESTARTED = {
     Kind.LEARNER_KILLED,
@@ -77,13 +78,13 @@ _FAMILY_OF = {kind: family for family, members in FAMILIES.items() for kind in m
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong.
+    """One fault.
 
     Attributes:
-        kind: what.
-        target: the service that it happens to, or whose connection; the learner for intruders and its disk.
-        seconds: how long, or for what dies how long until it is started again.
-        seed: of whatever else is left to chance.
+        kind: kind of the fault.
+        target: affected service, or the one whose connection is affected; the learner for intruders and disk.
+        seconds: duration, or for a killed service the time until its restart.
+        seed: seed of the other random choices.
     """
 
     kind: Kind
@@ -98,13 +99,13 @@ class Group:
 
     Attributes:
         faults: one or two, of different targets.
-        calm: seconds after everybody has recovered, until the next faults.
-        merciful: whether everybody may recover first.
+        calm: seconds from the recovery to the next faults.
+        recovers_first: whether the services recover before the next faults.
     """
 
     faults: tuple[Fault, ...]
     calm: float
-    merciful: bool
+    recovers_first: bool
 
 
 def schedule(
@@ -114,9 +115,9 @@ def schedule(
 
     Args:
         seed: the same one gives the same faults.
-        targets: family -> names of the services that it may hit.
-        kinds: those that may come.
-        longest_pause: seconds; of the long pauses and holes.
+        targets: family -> names of its possible targets.
+        kinds: possible kinds.
+        longest_pause: seconds of the longest pauses and outages.
     """
     chance = random.Random(seed)
     possible = [[kind for kind in family if kind in kinds] for family in FAMILIES.values()]
@@ -138,11 +139,11 @@ def schedule(
                 faults.append(second)
             else:
                 deck.append(second.kind)
-        yield Group(tuple(faults), chance.uniform(0.5, 3.0), chance.random() >= NO_MERCY)
+        yield Group(tuple(faults), chance.uniform(0.5, 3.0), chance.random() >= NO_RECOVERY)
 
 
 def complete(happened: set[Kind], kinds: frozenset[Kind], *, every: bool) -> bool:
-    """Whether a storm has shown what it is there for: every one of these kinds, or one of each family."""
+    """Whether the required faults have occurred: every one of these kinds, or one of each family."""
     if every:
         return kinds <= happened
     return all(happened & set(family) for family in FAMILIES.values() if kinds & set(family))
@@ -153,7 +154,7 @@ def _seconds(chance: random.Random, kind: Kind, longest_pause: float) -> float:
         return chance.uniform(0.0, 3.0)
     if kind is Kind.LINK_CUT:
         return chance.uniform(0.0, 2.0)
-    if kind in (Kind.FLOOD, Kind.STRANGERS, Kind.LINK_SLOW, *FAMILIES["disk"]):
+    if kind in (*FAMILIES["intruder"], Kind.LINK_SLOW, *FAMILIES["disk"]):
         return chance.uniform(2.0, 5.0)
     if chance.random() < 0.5:
         return chance.uniform(0.5, LEASE_SECONDS - 1.5)

@@ -1,4 +1,4 @@
-"""The storm's disk: full when it is to be, with room again afterwards, and nowhere mounted in the end."""
+"""The disk for fault injection: full when requested, free again afterwards, and unmounted in the end."""
 
 from __future__ import annotations
 

@@ -3,36 +3,16 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # tests is no installed package
 
-from tests.compose.containers import RUN, Containers
-
-# A run that never ends by itself, is small enough for two cores, and keeps its whole log.
-SETTINGS = {
-    "run.environment_steps": 10_000_000,
-    "environment.vehicles": 20,
-    "environment.episode_ticks": 120,
-    "exploration.random_decisions": 200,
-    "planner.hidden_features": 32,
-    "planner.head_features": 32,
-    "planner.memory": "lstm",
-    "planner.recurrent_features": 16,
-    "replay.capacity": 100_000,
-    "learner.batch": 128,
-    "learner.samples_per_insert": 4.0,
-    "actor.environments": 4,
-    "evaluator.episodes": 2,
-    "evaluator.final_episodes": 2,
-    "evaluator.seconds_between": 5.0,
-}
+from tests.compose.containers import RUN, SETTINGS, Containers
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -42,7 +22,9 @@ def _asked_for(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.fixture(scope="module")
-def containers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Containers]:
+def containers(
+    tmp_path_factory: pytest.TempPathFactory, free_port: Callable[[], int]
+) -> Iterator[Containers]:
     """The run's containers, none of them started; at the end they are taken down with their volumes."""
     folder = tmp_path_factory.mktemp("compose")
     evidence = folder / "evidence"
@@ -56,6 +38,9 @@ def containers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Containers]
         "ATHRL_SET": " ".join(f"{key}={value}" for key, value in SETTINGS.items()),
         "ATHRL_PORT": str(port),
         "ATHRL_VIEWER_PORT": str(free_port()),
+        "ATHRL_PROMETHEUS_PORT": str(free_port()),
+        "ATHRL_METRICS_LISTEN": "every-address:9464",
+        "ATHRL_PAGE_PORT": str(free_port()),
         "ATHRL_EVIDENCE": str(evidence),
     }
     containers = Containers(compose_command(), environment, port, folder)
@@ -76,9 +61,3 @@ def compose_command() -> list[str]:
         except FileNotFoundError:
             continue
     pytest.fail("neither docker compose nor docker-compose is installed")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

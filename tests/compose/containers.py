@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,6 +20,25 @@ T = TypeVar("T")
 ROOT = Path(__file__).parents[2]
 PROJECT = "athrl-compose-check"
 RUN = "check"
+SETTINGS = {
+    "run.environment_steps": 10_000_000,
+    "environment.vehicles": 20,
+    "environment.episode_ticks": 120,
+    "exploration.random_decisions": 200,
+    "planner.hidden_features": 32,
+    "planner.head_features": 32,
+    "planner.memory": "lstm",
+    "planner.recurrent_features": 16,
+    "replay.capacity": 100_000,
+    "learner.batch": 128,
+    "learner.samples_per_insert": 4.0,
+    "actor.environments": 4,
+    "evaluator.episodes": 2,
+    "evaluator.final_episodes": 2,
+    "evaluator.seconds_between": 5.0,
+}
+"""An endless run that is small enough for two cores, and keeps its whole log."""
+
 BACK_SECONDS = 120.0
 """Within which a container whose process was killed runs again; a busy machine takes its time."""
 
@@ -51,8 +71,13 @@ def inspect(container: str) -> dict[str, Any]:
 
 
 def name_of(actor: str) -> str:
-    """Return the name that an actor has in the run: its container's host name."""
-    return str(inspect(actor)["Config"]["Hostname"])
+    """Return the name that the learner has given to an actor, as the actor's log says; wait for it."""
+
+    def given() -> str:
+        names = re.findall(r"takes part in the run \S+ as (\S+)", said(actor))
+        return names[-1] if names else ""
+
+    return wait("the name of an actor", given, 300)
 
 
 def health(container: str) -> str:
@@ -97,9 +122,15 @@ class Containers:
     folder: Path
 
     def run(self, *arguments: str, seconds: float = 300) -> str:
-        """Run Compose as a user does, with actors that write down what becomes of their chunks."""
-        files = ["--file", "compose.yaml", "--file", "tests/compose/witnessed.yaml"]
-        result = subprocess.run(
+        """Run Compose as a user does, with actors that record the outcomes of their chunks."""
+        result = self.call(*arguments, seconds=seconds)
+        assert result.returncode == 0, f"{arguments}: {result.stdout}\n{result.stderr}"
+        return result.stdout
+
+    def call(self, *arguments: str, seconds: float = 300) -> subprocess.CompletedProcess[str]:
+        """The same, whether or not Compose succeeds."""
+        files = ["--file", "compose.yaml", "--file", "tests/compose/recording_actors.yaml"]
+        return subprocess.run(
             [*self.compose, "--project-name", PROJECT, *files, *arguments],
             cwd=ROOT,
             env=self.environment,
@@ -107,11 +138,9 @@ class Containers:
             text=True,
             timeout=seconds,
         )
-        assert result.returncode == 0, f"{arguments}: {result.stdout}\n{result.stderr}"
-        return result.stdout
 
     def up(self) -> None:
-        """Start the run, or go on with it."""
+        """Start or resume the run."""
         self.run("up", "--detach", "--no-build")
 
     def all(self, *filters: str) -> list[str]:

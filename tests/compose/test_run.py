@@ -1,4 +1,4 @@
-"""The run as containers: it grows, nobody gets in, killed services come back, and `down` loses nothing.
+"""The run as containers: it grows, strangers are refused, killed services restart, `down` loses nothing.
 
 Needs root, a Docker engine, the Compose tool and the images (`make images`). The tests share one run, in the
 order in which they stand here.
@@ -12,13 +12,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 from athrl.certificates import make_all
 from athrl_learner.checkpoint.content import STATE, numbered_checkpoints
 
+from tests.chaos.audit import compare, imbalances, read_log
 from tests.chaos.evidence import Evidence
-from tests.chaos.reckoning import compare, imbalances, read_log
 from tests.compose.containers import (
     PROJECT,
     RUN,
@@ -31,6 +32,7 @@ from tests.compose.containers import (
     said,
     wait,
 )
+from tests.monitoring.prometheus import Prometheus
 
 HERE = Path(__file__).parent
 SERVICES = ("learner", "router", "actor", "actor-behind-router", "evaluator", "viewer")
@@ -41,7 +43,9 @@ NAMED_VOLUMES = {
     f"{PROJECT}_{name}"
     for name in (
         "runs",
+        "kernels",
         "authority",
+        "prometheus",
         *(f"{role}-certificate" for role in ("learner", "actor", "evaluator", "viewer", "router")),
     )
 }
@@ -53,6 +57,28 @@ pytestmark = pytest.mark.timeout(900)
 def evidence(containers: Containers) -> Evidence:
     """What the actors wrote down."""
     return Evidence(containers.folder / "evidence")
+
+
+def test_wrong_settings_are_told_once_and_start_nothing(containers: Containers) -> None:
+    settings = containers.environment["ATHRL_SET"]
+    containers.environment["ATHRL_SET"] = "run.environment_steps=many"
+    try:
+        result = containers.call("up", "--detach", "--no-build")
+        assert result.returncode != 0
+        check = containers.of("check")
+        assert inspect(check)["State"]["ExitCode"] == 2
+        assert inspect(check)["RestartCount"] == 0
+        assert len(said(check).splitlines()) == 1
+        assert "run.environment_steps" in said(check)
+        started = [
+            inspect(each)["State"]["StartedAt"]
+            for name in SERVICES
+            for each in containers.all(f"service={name}")
+        ]
+        assert [when for when in started if not when.startswith("0001")] == []
+    finally:
+        containers.environment["ATHRL_SET"] = settings
+        containers.run("down", "--volumes", "--timeout", "10")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +94,7 @@ def await_both_actors(run: Containers, evidence: Evidence, since: float) -> None
     """Wait until chunks of the actor at the learner and of the one behind the router are acknowledged."""
     for service in ACTORS:
         name = name_of(run.of(service))
-        wait(f"{service} to be heard", lambda name=name: evidence.last_acknowledgement(name) > since, 300)
+        wait(f"{service} to deliver", lambda name=name: evidence.last_acknowledgement(name) > since, 300)
 
 
 def scored(run: Containers) -> int:
@@ -91,12 +117,46 @@ def test_each_service_has_only_its_own_key(run: Containers) -> None:
         assert found.splitlines() == [f"/certificates/{role}/tls.key 600"]
 
 
+def test_containers_may_write_and_take_only_what_they_need(run: Containers) -> None:
+    for service in SERVICES:
+        container = inspect(run.of(service))
+        limits = container["HostConfig"]
+        assert limits["ReadonlyRootfs"], service
+        assert limits["CapDrop"] == ["ALL"], service
+        assert limits["SecurityOpt"] == ["no-new-privileges:true"], service
+        assert limits["Memory"] > 0, service
+        assert limits["LogConfig"]["Config"]["max-size"] == "10m", service
+        assert container["Config"]["User"] == "athrl", service
+
+
+def test_viewer_tells_the_address_on_the_host(run: Containers) -> None:
+    frames = f"rerun%2Bhttp://127.0.0.1:{run.environment['ATHRL_VIEWER_PORT']}/proxy"
+    page = f"http://127.0.0.1:{run.environment['ATHRL_PAGE_PORT']}/?url={frames}"
+    wait("the viewer's address", lambda: page in said(run.of("viewer")), 120)
+    with urlopen(page, timeout=60) as answer:
+        assert b"re_viewer.js" in answer.read()
+
+
 def intrude(folder: Path) -> dict[str, str]:
     """Let a container that has these certificates try to get in at learner and router."""
     inside = ["--network", f"{PROJECT}_default", "--volume", f"{folder}:/certificates:ro", "--user", "0"]
     python = ["--rm", "--interactive", "--entrypoint", "python", "athrl/actor", "-"]
     docker = ["docker", "run", *inside, *python, "/certificates", *ADDRESSES]
     return json.loads(output(*docker, script=HERE / "intruder.py"))
+
+
+def test_prometheus_of_the_profile_scrapes_the_run_from_inside(run: Containers) -> None:
+    prometheus = Prometheus(int(run.environment["ATHRL_PROMETHEUS_PORT"]))
+    run.run("--profile", "monitoring", "up", "--detach", "--no-build", "prometheus")
+    try:
+        wait("Prometheus", prometheus.ready, 60)
+        jobs = {"athrl-learner": "up", "athrl-evaluator": "up", "athrl-router": "up"}
+        wait("every service to be scraped", lambda: prometheus.targets() == jobs, 120)
+        wait("both actors' figures", lambda: prometheus.values("athrl_actors_reporting") == [2.0], 120)
+        wait("its health", lambda: health(run.of("prometheus")) == "healthy", 120)
+        assert inspect(run.of("prometheus"))["HostConfig"]["ReadonlyRootfs"]
+    finally:
+        run.run("--profile", "monitoring", "rm", "--stop", "--force", "prometheus")
 
 
 def test_container_with_a_certificate_of_the_run_gets_in(run: Containers) -> None:
@@ -166,7 +226,7 @@ def test_run_goes_on_when_a_service_is_killed_by_its_host_pid(
 
 
 def test_every_service_is_healthy(run: Containers) -> None:
-    checked = {service: run.of(service) for service in SERVICES if service != "viewer"}
+    checked = {service: run.of(service) for service in SERVICES}
     wait("health", lambda: {health(each) for each in checked.values()} == {"healthy"}, 120)
 
 
@@ -183,21 +243,39 @@ def test_down_loses_nothing_and_leaves_the_named_volumes(run: Containers, eviden
 def test_next_up_goes_on_and_all_end_with_the_run(run: Containers, evidence: Evidence) -> None:
     run.run("down")
     reached = environment_steps(run.copy_run())
-    run.environment["ATHRL_SET"] += f" run.environment_steps={reached + 600}"
+    # All other settings are the run's own; planners of the default size would be refused.
+    run.environment["ATHRL_SET"] = f"run.environment_steps={reached + 600}"
     run.up()
-    services = [run.of(service) for service in SERVICES]
-    wait("the end", lambda: all(inspect(each)["State"]["Status"] == "exited" for each in services), 300)
-    assert [inspect(each)["State"]["ExitCode"] for each in services] == [0] * len(SERVICES)
-    assert [inspect(each)["RestartCount"] for each in services] == [0] * len(SERVICES)
+    await_end(run)
+    assert said(run.of("learner")).count("setting run.environment_steps was") == 1
     folder = run.copy_run()
     assert environment_steps(folder) >= reached + 600
     nothing_is_lost_or_twice(folder, evidence)
+    assert {name_of(run.of(service)) for service in ACTORS} == {"actor-1", "actor-2"}
+
+
+def test_finished_run_that_is_brought_up_again_ends_and_stays_as_it_is(run: Containers) -> None:
+    before = (run.copy_run() / "evaluation.json").read_bytes()
+    run.run("down")
+    run.environment["ATHRL_SET"] = ""
+    run.up()
+    await_end(run)
+    assert "the run is finished and compared" in said(run.of("learner"))
+    assert (run.copy_run() / "evaluation.json").read_bytes() == before
 
 
 def test_down_with_volumes_leaves_nothing(run: Containers) -> None:
     run.run("down", "--volumes")
     assert run.all() == []
     assert volumes_left(NAMED_VOLUMES) == set()
+
+
+def await_end(run: Containers) -> None:
+    """Wait until every service has ended; none of them was restarted."""
+    services = [run.of(service) for service in SERVICES]
+    wait("the end", lambda: all(inspect(each)["State"]["Status"] == "exited" for each in services), 300)
+    assert [inspect(each)["State"]["ExitCode"] for each in services] == [0] * len(SERVICES)
+    assert [inspect(each)["RestartCount"] for each in services] == [0] * len(SERVICES)
 
 
 def environment_steps(folder: Path) -> int:

@@ -24,7 +24,7 @@ STEADY = {
 
 @pytest.fixture
 def steady(tiny: list[str]) -> list[str]:
-    """Settings of a run that goes on as long as the test does."""
+    """Settings of a run that lasts as long as the test."""
     return [*tiny, *(word for key, value in STEADY.items() for word in ("--set", f"{key}={value}"))]
 
 

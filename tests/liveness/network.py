@@ -1,4 +1,4 @@
-"""A network of its own for some services, whose only way to the others can be cut."""
+"""A separate network for some services, whose only connection to the others can be cut."""
 
 from __future__ import annotations
 

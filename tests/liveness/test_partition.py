@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -19,7 +18,7 @@ pytestmark = [
 CUT = 23.0
 """Several leases, and long enough for TCP to pause for 13 s between two attempts to send again."""
 BLINK = 3.0
-"""Shorter than the lease: nobody has noticed, and TCP has to send again what was lost."""
+"""Shorter than the lease: the outage is not noticed, and TCP must send lost data again."""
 
 
 @pytest.fixture
@@ -28,12 +27,16 @@ def island() -> Iterator[network.Network]:
         yield made
 
 
+@pytest.mark.slow
 def test_run_goes_on_when_a_cut_network_is_mended(
-    command, steady: list[str], port: int, island: network.Network, record_property
+    command,
+    steady: list[str],
+    port: int,
+    free_address: Callable[[], str],
+    island: network.Network,
+    record_property,
 ) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        router = f"tcp/127.0.0.1:{probe.getsockname()[1]}"  # the island's own loopback
+    router = free_address()  # the island's own loopback
     address = f"tcp/{island.here}:{port}"
     fleet = Fleet(command, [*steady, "--set", f"network.listen={address}"], address)
     fleet.start_learner()

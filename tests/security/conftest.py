@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 import zenoh
 from athrl.certificates import make_all
 from athrl_protocol import Chunk, LevelColumns, open_session
-from athrl_protocol.certificates import ROLES
+from athrl_protocol.security.certificates import ROLES
 
 PATIENCE = 30.0
 RUN = "guarded"
@@ -37,7 +36,7 @@ def ours(_authorities: dict[str, Path], tmp_path: Path) -> Path:
 
 @pytest.fixture
 def foreign(_authorities: dict[str, Path]) -> Path:
-    """Certificates of somebody else's authority."""
+    """Certificates of another authority."""
     return _authorities["foreign"]
 
 
@@ -49,11 +48,9 @@ def sessions() -> Iterator[contextlib.ExitStack]:
 
 
 @pytest.fixture
-def unused_port() -> int:
-    """Another port of the loopback interface that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def unused_port(free_port: Callable[[], int]) -> int:
+    """Another port of the loopback interface that is free."""
+    return free_port()
 
 
 @pytest.fixture

@@ -37,6 +37,7 @@ from athrl_protocol import (
     serve_run_file,
     subscribe_frames,
 )
+from athrl_protocol.messages.keys import PROBE_RUN_FILE
 
 RUN = "guarded"
 KEYS = Keys(RUN)
@@ -96,7 +97,7 @@ def test_actor_does_its_part(
             stack=stack,
         )
         assert joined is not None
-        session, run_file = joined
+        session, run_file, _ = joined
         assert run_file.run.name == RUN
         assert presence.wait_for(lambda there: ("actor", "rig") in there, PATIENCE)
         update = stack.enter_context(PolicySubscriber(session, RUN)).wait(PATIENCE)
@@ -113,7 +114,21 @@ def test_actor_does_its_part(
         eventually(lambda: frames and reports, PATIENCE)
 
 
-def test_evaluator_and_viewer_do_theirs(run: ChunkIntake, client: Client, sessions, eventually) -> None:
+def test_learner_hears_what_its_actors_report(
+    run: ChunkIntake, client: Client, learner: zenoh.Session, sessions, eventually
+) -> None:
+    reports: list[MetricsReport] = []
+    sessions.enter_context(MetricsSubscriber(learner, RUN, reports.append, role="actor"))
+    metrics = sessions.enter_context(MetricsPublisher(client("actor"), RUN, "actor", "rig"))
+
+    def has_arrived() -> bool:
+        metrics.publish({"speed": 1.0})
+        return bool(reports)
+
+    eventually(has_arrived, PATIENCE)
+
+
+def test_evaluator_and_viewer_do_theirs(run: ChunkIntake, client: Client, sessions) -> None:
     evaluator, viewer = client("evaluator"), client("viewer")
     assert fetch_run_file(viewer, None, PATIENCE).run.name == RUN
     assert sessions.enter_context(StateSubscriber(viewer, RUN)).wait(PATIENCE) is not None
@@ -143,7 +158,7 @@ FORBIDDEN_PUTS = [
     ("viewer", KEYS.metrics("viewer", "viewer")),
     ("viewer", KEYS.evaluation("evaluator", "policy", "town03")),
 ]
-# Whose certificate, what it would like to hear.
+# Role of the certificate, key of a forbidden subscription.
 FORBIDDEN_SUBSCRIPTIONS = [
     ("actor", KEYS.every_experience),
     ("actor", KEYS.every_metrics),
@@ -167,10 +182,10 @@ def test_what_a_role_may_not_write_reaches_nobody(
         declared.put(b"forged")
         session.delete(key)
     # What is allowed and sent afterwards has arrived: the rest would have been there before it.
-    witness = KEYS.metrics("actor", "witness")
+    probe = KEYS.metrics("actor", "probe")
     actor = client("actor")
-    actor.put(witness, b"")
-    everything.wait(witness)
+    actor.put(probe, b"")
+    everything.wait(probe)
     if role != "viewer":
         own = KEYS.metrics(role, "own")
         session.put(own, b"")
@@ -182,10 +197,10 @@ def test_what_a_role_may_not_write_reaches_nobody(
 def test_what_a_role_may_not_read_does_not_come(
     run: ChunkIntake, learner: zenoh.Session, client: Client, received, eventually, role: str, key: str
 ) -> None:
-    heard = received()
+    received_keys = received()
     session = client(role)
-    session.declare_subscriber(key, heard)
-    session.declare_subscriber(KEYS.state, heard)
+    session.declare_subscriber(key, received_keys)
+    session.declare_subscriber(KEYS.state, received_keys)
 
     def write_everything() -> bool:
         for written in (
@@ -197,11 +212,11 @@ def test_what_a_role_may_not_read_does_not_come(
             KEYS.state,
         ):
             learner.put(written, b"secret", congestion_control=zenoh.CongestionControl.BLOCK)
-        return KEYS.state in heard.keys
+        return KEYS.state in received_keys.keys
 
     eventually(write_everything, PATIENCE)  # its subscription to what it may read has come
     eventually(write_everything, PATIENCE)
-    assert set(heard.keys) == {KEYS.state}
+    assert set(received_keys.keys) == {KEYS.state}
 
 
 def test_actor_cannot_take_others_experience(run: ChunkIntake, client: Client, received, make_chunk) -> None:
@@ -232,11 +247,11 @@ def test_nobody_shows_up_as_another_role(
     watcher = sessions.enter_context(PresenceWatcher(learner, RUN))
     session = client(role)
     sessions.enter_context(announce_presence(session, RUN, as_role, "impostor"))
-    sessions.enter_context(announce_presence(client("actor"), RUN, "actor", "witness"))
+    sessions.enter_context(announce_presence(client("actor"), RUN, "actor", "probe"))
     if role == "actor":
         sessions.enter_context(announce_presence(session, RUN, "actor", "own"))
         assert watcher.wait_for(lambda there: ("actor", "own") in there, PATIENCE)
-    assert watcher.wait_for(lambda there: ("actor", "witness") in there, PATIENCE)
+    assert watcher.wait_for(lambda there: ("actor", "probe") in there, PATIENCE)
     assert (as_role, "impostor") not in watcher.present()
 
 
@@ -246,17 +261,18 @@ def test_actor_cannot_answer_for_the_learner(run: ChunkIntake, client: Client, r
     for key in (KEYS.run_file, KEYS.policy, "athrl/*/run-file"):
         liar.declare_queryable(key, asked, complete=True)
     assert fetch_run_file(client("viewer"), RUN, PATIENCE).run.name == RUN
-    assert asked.keys == []
+    # Its own session asks too, whether its connection still answers; no question of another client may come.
+    assert [key for key in asked.keys if key != PROBE_RUN_FILE] == []
 
 
 def test_metrics_in_anothers_name_are_not_taken(run: ChunkIntake, client: Client, sessions) -> None:
-    """Under its own key an actor may write; what it says there about somebody else is not believed."""
+    """Under its own key an actor may write; reports there in the name of another service are refused."""
     reports: list[MetricsReport] = []
-    heard = threading.Event()
+    arrived = threading.Event()
 
     def take(report: MetricsReport) -> None:
         reports.append(report)
-        heard.set()
+        arrived.set()
 
     sessions.enter_context(MetricsSubscriber(client("viewer"), RUN, take))
     actor = client("actor")
@@ -266,7 +282,7 @@ def test_metrics_in_anothers_name_are_not_taken(run: ChunkIntake, client: Client
     for _ in range(200):
         liar.publish({"updates": 1e9})
         honest.publish({"updates": 1.0})
-        if heard.wait(0.1):
+        if arrived.wait(0.1):
             break
     assert reports
     assert {report.name for report in reports} == {"honest"}

@@ -1,4 +1,4 @@
-"""`athrl certificates`: what it makes is not overwritten, can be renewed, and keys are nobody else's."""
+"""`athrl certificates`: its files are not overwritten, can be renewed, and keys are private."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from athrl.errors import CommandError
-from athrl_protocol.certificates import ROLES, SERVERS
+from athrl_protocol.security.certificates import ROLES, SERVERS
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -115,7 +115,7 @@ def test_file_in_place_of_the_folder_is_named_and_left_alone(
     result = command.run("certificates", folder, *options, seconds=30)
     assert result.returncode == 2
     assert result.stderr.splitlines() == [
-        f"athrl: {folder}: README.md is a file, it should be a folder, or a name that is free"
+        f"athrl: {folder}: README.md is a file, it should be a folder or not exist yet"
     ]
     assert file.read_text() == "read me"
 

@@ -15,7 +15,7 @@ from athrl_protocol import open_session
 SECONDS = 90.0
 CROWD = 80
 GIVEN_UP = 120
-"""Zenoh takes in nobody for 0.1 s after each."""
+"""Zenoh accepts no connection for 0.1 s after each."""
 TAKEN_IN = 8.0
 
 
@@ -28,10 +28,10 @@ def test_crowd_with_certificates_gets_in(
 
 
 def test_learner_that_was_paused_is_not_held_up_by_those_who_came_meanwhile(
-    command, tiny: list[str], port: int, ours: Path, eventually
+    command, tiny: list[str], port: int, ours: Path
 ) -> None:
     learner = command.start("learner", *tiny, "--set", "run.name=guarded", "--certificates", str(ours))
-    eventually(lambda: "listens at" in command.said(learner), SECONDS)
+    command.wait_until_said(learner, "listens at", SECONDS)
     learner.send_signal(signal.SIGSTOP)
     with contextlib.ExitStack() as connections:
         for _ in range(GIVEN_UP):

@@ -1,4 +1,4 @@
-"""A run on this machine can be reached from this machine only, unless somebody asks for more."""
+"""A run on this machine can only be reached from this machine, unless other settings are given."""
 
 from __future__ import annotations
 
@@ -31,13 +31,10 @@ def listening(command) -> set[tuple[str, str, int]]:
 @pytest.mark.timeout(1500)
 @pytest.mark.parametrize("encrypted", [False, True])
 def test_local_run_listens_at_loopback_only(
-    command, tiny: list[str], port: int, ours: Path, eventually, encrypted: bool
+    command, tiny: list[str], port: int, unused_port: int, ours: Path, eventually, encrypted: bool
 ) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        viewer_port = int(probe.getsockname()[1])
     certificates = ["--certificates", str(ours)] if encrypted else []
-    settings = ["--set", "run.environment_steps=100000", "--actors", "1", "--viewer-port", str(viewer_port)]
+    settings = ["--set", "run.environment_steps=100000", "--actors", "1", "--viewer-port", str(unused_port)]
     train = command.start("train", *tiny, *settings, *certificates)
     seen: set[tuple[str, str, int]] = set()
 
@@ -45,7 +42,7 @@ def test_local_run_listens_at_loopback_only(
         seen.update(listening(command))
         ports = {place[2] for place in seen}
         logs = command.folder / "runs" / "town03" / "logs"
-        return {port, viewer_port} <= ports and all(
+        return {port, unused_port} <= ports and all(
             (logs / f"{name}.log").is_file() for name in ("actor-1", "evaluator", "viewer")
         )
 

@@ -1,4 +1,4 @@
-"""New certificates of the same authority are taken while the run goes on, and nothing is lost."""
+"""New certificates of the same authority are accepted during the run, and nothing is lost."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ PATIENCE = 30.0
 RUN = "guarded"
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_run_goes_on_while_certificates_are_renewed(
     command, tiny: list[str], port: int, ours: Path, eventually
@@ -86,8 +87,8 @@ def test_connected_client_shows_its_new_certificate_when_it_connects_again(
         (ours / "viewer" / name).write_bytes((foreign / "viewer" / name).read_bytes())
     learner = listen()
     try:
-        witness = open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="actor", certificates=ours)
-        witness.close()
+        probe = open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="actor", certificates=ours)
+        probe.close()
         assert client.info.links() == []
         certificates.renew_roles(ours, ["viewer", "learner"], None, days=2)
         eventually(lambda: len(client.info.links()) == 1, PATIENCE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -33,7 +34,9 @@ from athrl_protocol import (
     open_session,
     serve_run_file,
 )
-from athrl_protocol.session import open_router
+from athrl_protocol.announcements.answers import FreeNames, ask_for_name, fetch_changes, serve_changes
+from athrl_protocol.messages.keys import HOST_ROLE
+from athrl_protocol.transport.session import open_router
 
 RUN = "guarded"
 KEYS = Keys(RUN)
@@ -94,6 +97,12 @@ def test_every_role_does_its_part_through_a_router(
     for watcher in (PresenceWatcher(viewer, RUN), PresenceWatcher(learner, RUN)):
         with watcher:
             assert watcher.wait_for(lambda there: ("actor", "rig") in there, PATIENCE)
+            with FreeNames(learner, RUN, "actor", watcher):
+                assert ask_for_name(actor, RUN, "actor", "host", PATIENCE, threading.Event()) == "actor-1"
+    sessions.enter_context(announce_presence(actor, RUN, HOST_ROLE, "host"))
+    with PresenceWatcher(behind("actor"), RUN) as neighbours, serve_changes(learner, RUN, ["a change"]):
+        assert neighbours.wait_for(lambda there: (HOST_ROLE, "host") in there, PATIENCE)
+        assert fetch_changes(viewer, RUN) == ["a change"]
     with ChunkUploader(actor, RUN, "rig", new_incarnation(), capacity=8) as uploader:
         for _ in range(5):
             assert uploader.submit(make_chunk(), PATIENCE)
@@ -104,11 +113,25 @@ def test_every_role_does_its_part_through_a_router(
     assert sessions.enter_context(EvaluationSubscriber(viewer, RUN)).wait(PATIENCE) == SCORES
     metrics = sessions.enter_context(MetricsPublisher(actor, RUN, "actor", "rig"))
 
-    def heard() -> bool:
+    def has_arrived() -> bool:
         metrics.publish({"speed": 1.0})
         return bool(reports)
 
-    eventually(heard, PATIENCE)
+    eventually(has_arrived, PATIENCE)
+
+
+def test_learner_hears_what_actors_behind_a_router_report(
+    run: ChunkIntake, behind: Client, learner: zenoh.Session, sessions, eventually
+) -> None:
+    reports: list[MetricsReport] = []
+    sessions.enter_context(MetricsSubscriber(learner, RUN, reports.append, role="actor"))
+    metrics = sessions.enter_context(MetricsPublisher(behind("actor"), RUN, "actor", "rig"))
+
+    def has_arrived() -> bool:
+        metrics.publish({"speed": 1.0})
+        return bool(reports)
+
+    eventually(has_arrived, PATIENCE)
 
 
 # Whose certificate, what it puts where it must not.
@@ -130,22 +153,22 @@ def test_router_holds_its_clients_to_their_roles(
 ) -> None:
     """Also where the learner would let it pass, because another of the router's clients might do that."""
     arrived = received()
-    for heard in (KEYS.every_metrics, KEYS.every_evaluation):
-        learner.declare_subscriber(heard, arrived)
+    for subscribed in (KEYS.every_metrics, KEYS.every_evaluation):
+        learner.declare_subscriber(subscribed, arrived)
     neighbour, actor, session = behind("evaluator"), behind("actor"), behind(role)
-    for heard in (KEYS.policy, KEYS.state):
-        neighbour.declare_subscriber(heard, arrived)
-    witness = KEYS.metrics("actor", "witness")
+    for subscribed in (KEYS.policy, KEYS.state):
+        neighbour.declare_subscriber(subscribed, arrived)
+    probe = KEYS.metrics("actor", "probe")
 
     def put() -> bool:
         session.put(key, b"forged")
         learner.put(KEYS.state, b"real", congestion_control=zenoh.CongestionControl.BLOCK)
-        actor.put(witness, b"")
-        return {witness, KEYS.state} <= set(arrived.keys)
+        actor.put(probe, b"")
+        return {probe, KEYS.state} <= set(arrived.keys)
 
     eventually(put, PATIENCE)  # both ways lead through the router by now
-    before = arrived.keys.count(witness)
-    eventually(lambda: put() and arrived.keys.count(witness) > before + 3, PATIENCE)
+    before = arrived.keys.count(probe)
+    eventually(lambda: put() and arrived.keys.count(probe) > before + 3, PATIENCE)
     assert b"forged" not in arrived.payloads
 
 
@@ -171,9 +194,9 @@ def test_routers_certificate_cannot_speak_for_the_learner(
     session.declare_queryable(key, asked, complete=True)
     for _ in range(3):
         session.put(key, b"forged")
-    witness = KEYS.metrics("actor", "witness")
-    session.put(witness, b"")  # what its clients may do, it may
-    arrived.wait(witness)
+    probe = KEYS.metrics("actor", "probe")
+    session.put(probe, b"")  # what its clients may do, it may
+    arrived.wait(probe)
     assert key not in arrived.keys
     assert fetch_run_file(client("viewer"), RUN, PATIENCE).run.name == RUN
     assert asked.keys == []

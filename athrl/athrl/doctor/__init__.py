@@ -1,1 +1,1 @@
-"""`athrl doctor`: whether this installation and this machine can carry a run, and how a live one is."""
+"""`athrl doctor`: checks of this installation, this machine and a live run."""

@@ -1,4 +1,4 @@
-"""`athrl doctor`: a line for each check with what was seen and what to do."""
+"""`athrl doctor`: one line for each check, with what was found and what to do."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from athrl.errors import CommandError
 from athrl.options import CertificatesOption, JsonOption, LiveRunOption, RunFileOption, SetOption, overrides
 
 FAILED = 1
-"""Exit code where a check has failed; warnings are no failure."""
+"""Exit code if a check has failed; warnings are no failures."""
 _STYLES = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILED: "bold red"}
 
 
 def doctor(
     connect: Annotated[
         str | None,
-        typer.Option("--connect", metavar="ADDRESS", help="Look at the run there, too."),
+        typer.Option("--connect", metavar="ADDRESS", help="Also check the run at this address."),
     ] = None,
     run: LiveRunOption = None,
     as_json: JsonOption = False,
@@ -35,9 +35,9 @@ def doctor(
     settings: SetOption = None,
     certificates: CertificatesOption = None,
 ) -> None:
-    """Look whether this installation and this machine can carry a run, and how a live one is."""
-    with contextlib.suppress(CommandError):  # on a machine for actors alone
-        runs.know_planners()
+    """Check whether this installation and this machine are ready for a run, and the state of a live run."""
+    with contextlib.suppress(CommandError):  # on a machine that only runs actors
+        runs.declare_installed_planners()
     checks = _checks(runs.new_settings(run_file, overrides(settings)), connect, run)
     console = Console(soft_wrap=True, highlight=False)
     found: list[Finding] = []
@@ -65,7 +65,7 @@ def facts(found: list[Finding]) -> dict[str, object]:
 
 
 def line(finding: Finding) -> Text:
-    """Draw a finding as one line."""
+    """Return a finding as one line."""
     text = Text(f"{finding.level:8}", style=_STYLES[finding.level])
     text.append(f"{finding.check}: ", style="not bold default").append(finding.seen, style="not bold default")
     if finding.remedy:
@@ -80,7 +80,7 @@ def verdict(found: list[Finding]) -> str:
 
 
 def _checks(settings: RunFile, connect: str | None, run: str | None) -> Iterator[tuple[str, Check]]:
-    """Yield the checks with their names; without an address the learner is going to be here."""
+    """Yield the checks with their names; without an address the learner will run here."""
     yield "installation", installation.installation
     yield "cores", machine.cores
     yield "memory", lambda: machine.memory(settings)

@@ -1,4 +1,4 @@
-"""Whether the disk that the run will use can be written, has room, and is fast enough."""
+"""Checks that the disk of the run can be written, has space, and is fast enough."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from athrl.runs import run_folder
 LOG_BYTES_PER_TRANSITION, CHECKPOINT_BYTES = 512, 12 * 2**20
 SLOW_SYNC_SECONDS = 0.05
 SLOW_MEBIBYTES_PER_SECOND = 10.0
-"""What 20,000 transitions a second write into the log."""
+"""Rate at which 20,000 transitions a second are written to the log."""
 _SYNCS, _SYNC_BYTES = 15, 2**16
 _WRITTEN_BYTES, _BLOCK_BYTES = 32 * 2**20, 2**20
 
 
 def run_place(settings: RunFile) -> Path:
-    """Return the run's folder, or the nearest one around it that is there: it is on the run's disk."""
+    """Return the run's folder, or its nearest existing parent, which is on the run's disk."""
     folder = run_folder(settings).absolute()
     return next(path for path in (folder, *folder.parents) if path.is_dir())
 
 
 def scratch_folder(place: Path) -> AbstractContextManager[str]:
-    """Make a folder on the disk of `place` that is gone at the end; entering raises OSError."""
+    """Make a temporary folder on the disk of `place`; entering raises OSError."""
     return tempfile.TemporaryDirectory(dir=place, prefix=".athrl-doctor-")
 
 
 def room_left(settings: RunFile, place: Path) -> int:
-    """Return bytes that the log may still take, beside what is reserved for checkpoints."""
+    """Return the bytes that the log can still use, without the space reserved for checkpoints."""
     return _free_bytes(place) - round(settings.durability.reserve_mebibytes * 2**20)
 
 
 def disk(settings: RunFile) -> Iterator[Finding]:
-    """Look whether the run's folder can be written, has room, and what bringing data to its disk costs."""
+    """Check that the run's folder can be written and has space, and how long syncing to its disk takes."""
     place = run_place(settings)
     try:
         with scratch_folder(place) as scratch:
@@ -49,7 +49,7 @@ def disk(settings: RunFile) -> Iterator[Finding]:
         yield failed(
             "run folder",
             f"cannot write {place}: {(error.strerror or str(error)).lower()}",
-            "make room, or choose a folder of yours with run.folder",
+            "make room, or choose another folder with run.folder",
         )
         return
     yield ok("run folder", f"{place} can be written")
@@ -79,7 +79,7 @@ def _room(settings: RunFile, place: Path) -> Finding:
 
 
 def _sync_seconds(folder: Path) -> float:
-    """Return the median time in which a little data comes to the disk; raises OSError."""
+    """Return the median time to sync a little data to the disk; raises OSError."""
     seconds = []
     descriptor = os.open(folder / "sync", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     try:
@@ -94,7 +94,7 @@ def _sync_seconds(folder: Path) -> float:
 
 
 def _bytes_per_second(folder: Path) -> float:
-    """Return how fast much data comes to the disk; random, as some disks compress; raises OSError."""
+    """Return the speed of writing much data; random data, as some disks compress; raises OSError."""
     block = os.urandom(_BLOCK_BYTES)
     descriptor = os.open(folder / "speed", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     try:

@@ -1,4 +1,4 @@
-"""What a check found: one line with what was seen, and one with what to do about it."""
+"""The result of a check: what was found, and what to do about it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from athrl.errors import expected_errors
 
 
 class Level(StrEnum):
-    """How bad it is."""
+    """Severity of a finding."""
 
     OK = "ok"
     WARNING = "warning"
@@ -22,10 +22,10 @@ class Finding:
     """One line of the report.
 
     Attributes:
-        check: what was looked at.
-        level: how bad it is.
+        check: name of the check.
+        level: severity.
         seen: what was found.
-        remedy: what to do; empty where nothing has to be done.
+        remedy: what to do; empty if nothing has to be done.
     """
 
     check: str
@@ -38,12 +38,12 @@ Check = Callable[[], Iterator[Finding]]
 
 
 def ok(check: str, seen: str) -> Finding:
-    """Return a finding that needs nothing."""
+    """Return a finding without a problem."""
     return Finding(check, Level.OK, seen)
 
 
 def warning(check: str, seen: str, remedy: str) -> Finding:
-    """Return a finding with which a run works, but not as it should."""
+    """Return a finding with which a run works, but not well."""
     return Finding(check, Level.WARNING, seen, remedy)
 
 
@@ -53,11 +53,11 @@ def failed(check: str, seen: str, remedy: str) -> Finding:
 
 
 def findings_of(name: str, check: Check) -> Iterator[Finding]:
-    """Yield what a check finds; an expected error in the middle of it is a finding, too."""
+    """Yield the findings of a check; an expected error in it is a finding, too."""
     try:
         yield from check()
     except Exception as error:
-        # Which errors are expected depends on the rooms that the check has imported.
+        # Which errors are expected depends on the packages that the check has imported.
         if not isinstance(error, (OSError, *expected_errors())):
             raise
-        yield failed(name, " ".join(str(error).split()), "mend what it names and look again")
+        yield failed(name, " ".join(str(error).split()), "correct what it names and check again")

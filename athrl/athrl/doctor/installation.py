@@ -1,4 +1,4 @@
-"""Whether the installed packages belong together."""
+"""Checks that the installed packages fit together."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-import athrl_protocol.athrl_pb2
+import athrl_protocol.messages.athrl_pb2
 
 from athrl.doctor.finding import Finding, failed, ok, warning
 
-ROOMS = (
+PACKAGES = (
     "athrl-protocol",
     "athrl-driving",
     "athrl-planners",
@@ -24,15 +24,15 @@ ROOMS = (
     "athrl-evaluator",
 )
 ZENOH = "1.10"
-"""What everything was tried with."""
+"""The tested version."""
 _VIEWER_SECONDS = 20.0
 
 
 def installation() -> Iterator[Finding]:
-    """Look at the versions of athrl's distributions and of what they depend on."""
+    """Check the versions of athrl's distributions and of their dependencies."""
     own = metadata.version("athrl")
     yield ok("python", f"{sys.version.split()[0]}, athrl {own}")
-    yield from _rooms(own)
+    yield from _packages(own)
     yield from _dependencies()
     yield from _zenoh()
     yield from _protobuf()
@@ -46,8 +46,8 @@ def _version(distribution: str) -> str | None:
         return None
 
 
-def _rooms(own: str) -> Iterator[Finding]:
-    there = {name: version for name in ROOMS if (version := _version(name)) is not None}
+def _packages(own: str) -> Iterator[Finding]:
+    there = {name: version for name in PACKAGES if (version := _version(name)) is not None}
     others = [f"{name} {version}" for name, version in there.items() if version != own]
     if others:
         yield failed(
@@ -58,15 +58,15 @@ def _rooms(own: str) -> Iterator[Finding]:
 
 
 def _dependencies() -> Iterator[Finding]:
-    """Distributions that an installed room requires and that are not there."""
+    """Check for missing distributions that an installed package requires."""
     missing = []
-    for room in ("athrl", *ROOMS):
-        if _version(room) is None:
+    for package in ("athrl", *PACKAGES):
+        if _version(package) is None:
             continue
-        for requirement in metadata.requires(room) or []:
+        for requirement in metadata.requires(package) or []:
             name = re.match(r"[A-Za-z0-9._-]+", requirement)
             if ";" not in requirement and name is not None and _version(name[0]) is None:
-                missing.append(f"{name[0]} (of {room})")
+                missing.append(f"{name[0]} (of {package})")
     if missing:
         yield failed("dependencies", f"not installed: {', '.join(missing)}", "pip install them")
     else:
@@ -78,12 +78,12 @@ def _zenoh() -> Iterator[Finding]:
     if version.startswith(f"{ZENOH}."):
         yield ok("zenoh", version)
     else:
-        yield warning("zenoh", version, f"tried with {ZENOH}: pip install 'eclipse-zenoh~={ZENOH}.0'")
+        yield warning("zenoh", version, f"tested with {ZENOH}: pip install 'eclipse-zenoh~={ZENOH}.0'")
 
 
 def _protobuf() -> Iterator[Finding]:
-    """The import of the generated code has refused a runtime that is older; this tells the two numbers."""
-    code = Path(athrl_protocol.athrl_pb2.__file__).read_text()
+    """Report both versions; importing the generated code has already refused an older runtime."""
+    code = Path(athrl_protocol.messages.athrl_pb2.__file__).read_text()
     generated = re.search(r"Protobuf Python Version: (\S+)", code)
     yield ok(
         "protobuf",

@@ -1,8 +1,8 @@
-"""A learner that only takes chunks in: log, ledger and intake are the real ones, nothing is trained.
+"""A learner that only receives chunks: log, ledger and intake are the real ones, nothing is trained.
 
     python -m athrl.doctor.light_learner ADDRESS FOLDER FSYNC
 
-Says "ready" when it listens, and ends with its standard input.
+Prints "ready" when it listens, and ends with its standard input.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 
 from athrl_learner.files import Files
-from athrl_learner.segments import Kind, Record, SegmentFacts, SegmentLog, SegmentReader, numbered_segments
-from athrl_learner.segments.writing import Fsync
+from athrl_learner.log import Kind, Record, SegmentFacts, SegmentLog, SegmentReader, numbered_segments
+from athrl_learner.log.writing import Fsync
 from athrl_protocol import Chunk, ChunkIntake, decode_chunk, open_session
-from athrl_protocol.ledger import Ledger
+from athrl_protocol.delivery.ledger import Ledger
 
 from athrl.doctor.round_trip import RUN
 
@@ -29,19 +29,19 @@ class WritingReceiver:
         self._log = log
 
     def accept(self, chunk: Chunk, message: bytes) -> None:
-        """Write it down."""
+        """Write the chunk to the log."""
         self._log.append(Kind.CHUNK, message)
 
     def refuse(self, chunk: Chunk) -> None:
-        """Nothing is refused here."""
+        """Do nothing: no chunk is refused here."""
 
     def commit(self) -> None:
-        """Bring it to the disk where that is wanted."""
+        """Sync the log to the disk, if so configured."""
         self._log.commit()
 
 
-def read_again(log: SegmentLog) -> Ledger:
-    """Return the ledger of what an earlier life wrote down, and have the log go on behind it."""
+def restore_ledger(log: SegmentLog) -> Ledger:
+    """Return the ledger of what an earlier process logged, and continue the log after it."""
     ledger, sealed, number = Ledger(), list[SegmentFacts](), 0
     paths = numbered_segments(log.folder)
     for segment, path in paths.items():
@@ -51,16 +51,16 @@ def read_again(log: SegmentLog) -> Ledger:
                 ledger.record(decode_chunk(item.body))
                 number = item.number + 1
             elif item.torn:
-                Files().cut(item.path, item.start)
+                Files().truncate(item.path, item.start)
         sealed.append(reader.facts())
-    log.go_on(max(paths, default=0) + 1, number, sealed)
+    log.continue_from(max(paths, default=0) + 1, number, sealed)
     return ledger
 
 
 def main(address: str, folder: str, fsync: Fsync) -> None:
-    """Take chunks in until the input is closed; `fsync` as in the run file."""
+    """Receive chunks until the input is closed; `fsync` as in the run file."""
     log = SegmentLog(Path(folder), segment_bytes=SEGMENT_BYTES, fsync=fsync)
-    ledger = read_again(log)
+    ledger = restore_ledger(log)
     with (
         open_session(listen=address, timeout=_LISTEN_SECONDS, run=RUN) as session,
         ChunkIntake(session, RUN, WritingReceiver(log), ledger),

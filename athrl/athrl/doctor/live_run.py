@@ -1,4 +1,4 @@
-"""How a run is that goes on somewhere else: reached, of the same release, who is there, who waits."""
+"""Checks of a live run: connection, release, present services, waiting."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ from athrl_protocol import (
     fetch_run_file,
     open_session,
 )
+from athrl_protocol.messages.keys import HOST_ROLE
 
 from athrl.doctor.finding import Finding, failed, ok, warning
 
 ANSWER_SECONDS = 5.0
 METRICS_SECONDS = 3.0
-"""Services speak once a second."""
+"""Services report once a second."""
 SLOW_SECONDS, CLOCK_SECONDS = 0.5, 1.0
 LAG_VERSIONS = 10
 _QUESTIONS = 7
 
 
 class _LearnerMetrics:
-    """The newest metrics of the learner and when they came."""
+    """The newest metrics of the learner and their time of arrival."""
 
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
-        self.difference = 0.0  # of its clock from this one, seconds, the way included
-        self.heard = threading.Event()
+        self.difference = 0.0  # between its clock and this one, seconds, including the network delay
+        self.arrived = threading.Event()
 
     def __call__(self, report: MetricsReport) -> None:
         if report.role == "learner":
             self.values, self.difference = report.values, report.time - time.time()
-            self.heard.set()
+            self.arrived.set()
 
 
 def live_run(connect: str, run: str | None) -> Iterator[Finding]:
-    """Look at the run at an address; its name is not needed where there is but one."""
+    """Check the run at an address; its name is not needed if there is only one."""
     with open_session(connect=connect, timeout=ANSWER_SECONDS) as session:
         yield ok("learner", f"reached at {connect}")
         try:
@@ -58,7 +59,7 @@ def live_run(connect: str, run: str | None) -> Iterator[Finding]:
 
 
 def _round_trip(session: zenoh.Session, run: str) -> float:
-    """Return the median time of a question and its answer, seconds."""
+    """Return the median time of a query and its answer, seconds."""
     seconds = []
     for _ in range(_QUESTIONS):
         began = time.perf_counter()
@@ -68,9 +69,9 @@ def _round_trip(session: zenoh.Session, run: str) -> float:
 
 
 def _speed(seconds: float) -> Finding:
-    seen = f"{seconds * 1000:.1f} ms for a question and its answer"
+    seen = f"{seconds * 1000:.1f} ms for a query and its answer"
     if seconds > SLOW_SECONDS:
-        return warning("round trip", seen, "look at the network in between and at the learner's load")
+        return warning("round trip", seen, "check the network and the load of the learner")
     return ok("round trip", seen)
 
 
@@ -82,20 +83,20 @@ def _services(session: zenoh.Session, run: str, seconds: float) -> Iterator[Find
         PresenceWatcher(session, run) as presence,
     ):
         state = states.wait(ANSWER_SECONDS)
-        heard = metrics.heard.wait(METRICS_SECONDS)
-        there = sorted(presence.present())
+        arrived = metrics.arrived.wait(METRICS_SECONDS)
+        there = sorted(service for service in presence.present() if service[0] != HOST_ROLE)
     yield _presence(there)
     if state is None:
-        yield warning("state", "the learner does not tell it", "look into the learner's log")
+        yield warning("state", "the learner does not report it", "see the learner's log")
         return
     steps = f"{state.environment_steps} of {state.environment_steps_target} steps, {state.updates} updates"
     yield ok("state", f"{state.phase.name.lower().replace('_', ' ')}, {steps}, policy {state.policy_version}")
-    yield ok("waiting", state.waiting or "nobody waits")
-    if not heard:
+    yield ok("waiting", state.waiting or "nothing waits")
+    if not arrived:
         yield warning(
             "metrics",
-            f"the learner said nothing for {METRICS_SECONDS:.0f} s",
-            "it is very busy, or this certificate may not hear them: use a viewer's",
+            f"no metrics of the learner for {METRICS_SECONDS:.0f} s",
+            "it is very busy, or this certificate may not read them: use a viewer's",
         )
         return
     yield _clock(metrics.difference + seconds / 2)
@@ -103,7 +104,7 @@ def _services(session: zenoh.Session, run: str, seconds: float) -> Iterator[Find
 
 
 def _presence(there: list[tuple[str, str]]) -> Finding:
-    seen = ", ".join(f"{role} {name}" for role, name in there) or "nobody"
+    seen = ", ".join(f"{role} {name}" for role, name in there) or "no services"
     if not any(role == "actor" for role, _ in there):
         return warning("present", seen, "no actor drives: athrl actor --connect ADDRESS --run RUN")
     return ok("present", seen)
@@ -112,7 +113,7 @@ def _presence(there: list[tuple[str, str]]) -> Finding:
 def _clock(difference: float) -> Finding:
     seen = f"the learner's is {abs(difference):.2f} s {'ahead' if difference > 0 else 'behind'}"
     if abs(difference) > CLOCK_SECONDS:
-        return warning("clock", seen, "set both by NTP: ages of policies and certificates go by them")
+        return warning("clock", seen, "synchronise both by NTP: policies and certificates need that")
     return ok("clock", seen)
 
 
@@ -120,6 +121,6 @@ def _lag(values: dict[str, float]) -> Finding:
     lag = values.get("policy_lag", 0.0)
     seen = f"the worst actor's last chunk was {lag:.0f} versions behind"
     if lag > LAG_VERSIONS:
-        cause = "it hands over what it made while the learner was away, or its machine or network is too slow"
-        return warning("policy lag", seen, f"{cause}: look at athrl status")
+        cause = "it sends what it collected while the learner was away, or its machine or network is too slow"
+        return warning("policy lag", seen, f"{cause}: see athrl status")
     return ok("policy lag", seen)

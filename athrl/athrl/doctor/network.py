@@ -1,4 +1,4 @@
-"""Whether the learner could listen where the run file says, and whether the certificates are good."""
+"""Checks of the learner's address and of the certificates."""
 
 from __future__ import annotations
 
@@ -9,42 +9,48 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from athrl_protocol.address import complete_address, split_address
-from athrl_protocol.certificates import ROLES, VARIABLE, Certificates, find_certificates
 from athrl_protocol.run_file import RunFile
-from athrl_protocol.session import require_free
+from athrl_protocol.security.certificates import (
+    BOUND_ACTORS,
+    ROLES,
+    VARIABLE,
+    Certificates,
+    find_certificates,
+    role_and_bound_name,
+)
+from athrl_protocol.transport.address import complete_address, is_loopback, split_address
+from athrl_protocol.transport.session import require_free
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from athrl.certificates import RENEWAL_DAYS, common_name
+from athrl.certificate_files import common_name, load_certificate
+from athrl.certificates import RENEWAL_DAYS
 from athrl.doctor.finding import Finding, failed, findings_of, ok, warning
-
-LOOPBACK = ("127.", "localhost", "::1")
 
 
 def port(settings: RunFile) -> Iterator[Finding]:
-    """Look whether `network.listen` is free."""
+    """Check that `network.listen` is free."""
     address = settings.network.listen
     require_free(complete_address(address, secure=False))
     yield ok("port", f"{address} is free")
     host, _ = split_address(complete_address(address, secure=False))
-    if not host.startswith(LOOPBACK) and certificate_folder(settings) is None:
+    if not is_loopback(host) and certificate_folder(settings) is None:
         yield warning(
             "exposure",
-            f"the learner would listen at {host} without certificates: whoever reaches it may do everything",
+            f"the learner would listen at {host} without certificates: every client may do everything",
             "athrl certificates FOLDER, and set network.certificates",
         )
 
 
 def certificate_folder(settings: RunFile) -> Path | None:
-    """Return where the certificates lie, None without any."""
+    """Return the folder of certificates; None without certificates."""
     named = os.environ.get(VARIABLE) or settings.network.certificates
     return Path(named) if named else None
 
 
 def certificates(settings: RunFile) -> Iterator[Finding]:
-    """Look at every role's certificate that is there."""
+    """Check the certificate of every role in the folder."""
     folder = certificate_folder(settings)
     if folder is None:
         yield ok("certificates", "none are used")
@@ -54,12 +60,14 @@ def certificates(settings: RunFile) -> Iterator[Finding]:
         yield from findings_of("certificates", functools.partial(_role, folder, None))
     for role in roles:
         yield from findings_of(f"certificate {role}", functools.partial(_role, folder, role))
+    for bound in sorted(folder.glob(f"{BOUND_ACTORS}/*")):
+        yield from findings_of(f"certificate actor/{bound.name}", functools.partial(_role, bound, None))
 
 
 def _role(folder: Path, role: str | None) -> Iterator[Finding]:
     found = find_certificates(folder, role or "viewer")
     assert found is not None
-    certificate = x509.load_pem_x509_certificate(found.certificate.read_bytes())
+    certificate = load_certificate(found.certificate)
     name = common_name(certificate)
     check = f"certificate {role or name}"
     remedy = f"athrl certificates {folder} --renew {role or name}"
@@ -77,8 +85,8 @@ def _role(folder: Path, role: str | None) -> Iterator[Finding]:
 def _wrong_role(
     certificate: x509.Certificate, name: str, role: str | None, remedy: str, check: str
 ) -> Iterator[Finding]:
-    if name not in ROLES or (role is not None and name != role):
-        yield failed(check, f"its common name is {name!r}, which is no role or another's", remedy)
+    if role_and_bound_name(name)[0] is None or (role is not None and name != role):
+        yield failed(check, f"its common name is {name!r}, which is no role or another role", remedy)
     if name == "learner" and ExtendedKeyUsageOID.SERVER_AUTH not in _purposes(certificate):
         yield failed(check, "it may not serve", remedy)
 
@@ -91,14 +99,14 @@ def _purposes(certificate: x509.Certificate) -> list[x509.ObjectIdentifier]:
 
 
 def _wrong_authority(certificate: x509.Certificate, found: Certificates, check: str) -> Iterator[Finding]:
-    authority = x509.load_pem_x509_certificate(found.authority.read_bytes())
+    authority = load_certificate(found.authority)
     try:
         certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature):
+    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):
         yield failed(
             check,
             f"{found.certificate} is not of the authority {found.authority}",
-            "give it the ca.crt of the authority that made it, or make it anew",
+            "give it the ca.crt of the authority that made it, or make it again",
         )
 
 
@@ -116,4 +124,4 @@ def _wrong_time(certificate: x509.Certificate, remedy: str, check: str) -> Itera
 def _readable_key(found: Certificates, check: str) -> Iterator[Finding]:
     mode = stat.S_IMODE(found.key.stat().st_mode)
     if mode & 0o077:
-        yield warning(check, f"others may read {found.key} (mode {mode:04o})", f"chmod 600 {found.key}")
+        yield warning(check, f"other users may read {found.key} (mode {mode:04o})", f"chmod 600 {found.key}")

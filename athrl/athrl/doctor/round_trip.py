@@ -1,10 +1,9 @@
-"""A small storm: chunks go to a learner of this machine that is killed in the middle; none may be lost."""
+"""A trial of delivery: chunks are sent to a learner on this machine that is killed; none may be lost."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -16,22 +15,23 @@ from typing import NamedTuple
 
 import numpy as np
 from athrl_protocol import Chunk, ChunkUploader, LevelColumns, decode_chunk, new_incarnation, open_session
-from athrl_protocol.certificates import VARIABLE
 from athrl_protocol.run_file import RunFile
+from athrl_protocol.security.certificates import VARIABLE
 
 from athrl.doctor.disk import room_left, run_place, scratch_folder
 from athrl.doctor.finding import Finding, failed, ok, warning
 from athrl.errors import CommandError
+from athrl.ports import free_address
 
 CHUNKS = 3_000
 RUN = ACTOR = "doctor"
 LOG_BYTES = 16 * 2**20
-"""More than the chunks take."""
+"""More than the size of all chunks."""
 START_SECONDS, ROUND_TRIP_SECONDS = 60.0, 120.0
 
 
 class Outcome(NamedTuple):
-    """What became of the chunks, and how many seconds nothing was acknowledged around the kill."""
+    """Counts of chunks by outcome, and the seconds without acknowledgements around the kill."""
 
     acknowledged: int
     lost: int
@@ -40,35 +40,35 @@ class Outcome(NamedTuple):
 
 
 def round_trip(settings: RunFile) -> Iterator[Finding]:
-    """Send some thousand chunks over loopback into a log on the run's disk, kill the receiver, and count."""
+    """Send some thousand chunks over loopback to a log on the run's disk, kill the receiver, and count."""
     if find_spec("athrl_learner") is None:
-        yield ok("delivery", "not tried: no learner is installed here")
+        yield ok("delivery", "not tested: no learner is installed here")
         return
     place = run_place(settings)
     if room_left(settings, place) < LOG_BYTES or not os.access(place, os.W_OK):
         yield warning(
-            "delivery", f"not tried: {place} takes nothing", "see the run folder and the disk above"
+            "delivery", f"not tested: {place} cannot be written", "see the run folder and the disk above"
         )
         return
     with scratch_folder(place) as scratch:
-        outcome = small_storm(Path(scratch), CHUNKS, settings.durability.fsync)
+        outcome = delivery_trial(Path(scratch), CHUNKS, settings.durability.fsync)
     seen = (
         f"{outcome.acknowledged} chunks acknowledged over a kill of the receiver, lost {outcome.lost}, "
         f"twice {outcome.twice}, longest wait {outcome.stall:.1f} s; logged in {place}"
     )
     if outcome.lost or outcome.twice or outcome.acknowledged < CHUNKS:
-        yield failed("delivery", seen, "trust no run to this machine: try another file system")
+        yield failed("delivery", seen, "do not use this machine for runs: try another file system")
     else:
         yield ok("delivery", seen)
 
 
-def small_storm(folder: Path, chunks: int, fsync: str = "never") -> Outcome:
+def delivery_trial(folder: Path, chunks: int, fsync: str = "never") -> Outcome:
     """Deliver chunks into a log in `folder`, with a kill after a third of them; `fsync` as in the run file.
 
     Raises:
         CommandError: the receiver does not start, or not everything is acknowledged in time.
     """
-    address = f"tcp/127.0.0.1:{_free_port()}"
+    address = free_address()
     with contextlib.ExitStack() as stack:
         stack.enter_context(_without_certificates())
         receiver = stack.enter_context(_receiver(address, folder, fsync))
@@ -92,8 +92,8 @@ def small_storm(folder: Path, chunks: int, fsync: str = "never") -> Outcome:
 
 
 def count(folder: Path, acknowledged: int, stall: float) -> Outcome:
-    """Look into the log: every sequence below `acknowledged` has to be there once, with its own content."""
-    from athrl_learner.segments import Record, SegmentReader, numbered_segments
+    """Check the log: every sequence below `acknowledged` must be there once, with its own content."""
+    from athrl_learner.log import Record, SegmentReader, numbered_segments
 
     found: Counter[int] = Counter()
     for number, path in numbered_segments(folder).items():
@@ -106,8 +106,8 @@ def count(folder: Path, acknowledged: int, stall: float) -> Outcome:
     return Outcome(acknowledged, lost, sum(times > 1 for times in found.values()), stall)
 
 
-def made_up_chunk(number: int) -> Chunk:
-    """Return a small chunk that carries its number in its content."""
+def synthetic_chunk(number: int) -> Chunk:
+    """Return a small chunk with its number in its content."""
     columns = LevelColumns(
         np.zeros((4, 2), np.float32), np.zeros(4, np.float32), np.zeros((1, 8), np.float32)
     )
@@ -131,13 +131,13 @@ def made_up_chunk(number: int) -> Chunk:
 
 def _submit(uploader: ChunkUploader, numbers: range, deadline: float) -> None:
     for number in numbers:
-        if not uploader.submit(made_up_chunk(number), timeout=max(0.0, deadline - time.monotonic())):
-            raise CommandError(f"chunk {number} was not taken within {ROUND_TRIP_SECONDS:.0f} s")
+        if not uploader.submit(synthetic_chunk(number), timeout=max(0.0, deadline - time.monotonic())):
+            raise CommandError(f"chunk {number} was not accepted within {ROUND_TRIP_SECONDS:.0f} s")
 
 
 @contextlib.contextmanager
 def _receiver(address: str, folder: Path, fsync: str) -> Iterator[subprocess.Popen[str]]:
-    """A light learner in a process of its own, ready; gone when the block ends."""
+    """A light learner in a separate process, ready for chunks; ended with the block."""
     process = subprocess.Popen(
         [sys.executable, "-m", "athrl.doctor.light_learner", address, str(folder), fsync],
         stdin=subprocess.PIPE,
@@ -158,16 +158,10 @@ def _receiver(address: str, folder: Path, fsync: str) -> Iterator[subprocess.Pop
 
 @contextlib.contextmanager
 def _without_certificates() -> Iterator[None]:
-    """Use none inside the block, whatever the environment says: this is about delivery."""
+    """Use no certificates inside the block, whatever the environment says: this only tests delivery."""
     named = os.environ.pop(VARIABLE, None)
     try:
         yield
     finally:
         if named is not None:
             os.environ[VARIABLE] = named
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

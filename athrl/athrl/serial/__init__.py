@@ -1,11 +1,10 @@
-"""A whole run in one process and one thread, without a network or a clock, that repeats itself bit for bit.
+"""A complete run in one process and one thread, without network or clock, repeatable bit for bit.
 
     athrl train --serial
 
-An actor's rollout and a learner's training take turns: one decision in every environment, then each chunk
-that it completed goes into the log and the replay, and updates follow as long as the limiter owes any. What
-a distributed run does every so many seconds is done every so many updates. `docs/serial.md` tells what is
-guaranteed.
+An actor's rollout and a learner's training alternate: one decision in every environment, then each completed
+chunk goes into the log and the replay, and updates follow while the limiter owes any. Work that a distributed
+run does after some seconds is done after some updates. What is guaranteed: `docs/how-to/serial-runs.md`.
 
-Only the subcommand imports this package: it needs every service's room.
+Only the subcommand imports this package: it needs the packages of all services.
 """

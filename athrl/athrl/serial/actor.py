@@ -1,4 +1,4 @@
-"""The actor of a serial run: environments, rollout and policy, and all of it as a state."""
+"""The actor of a serial run: environments, rollout and policy, with a state for checkpoints."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from athrl.serial.environments import RepeatableBatch
 from athrl.serial.tensors import to_arrays, to_tensors
 
 NAME = "serial"
-#: A distributed actor's incarnation is of the clock; a serial run has one actor, in one life.
+#: A distributed actor's incarnation is a time; a serial run only has one actor and one incarnation.
 INCARNATION = 0
 
 
 class SerialActor:
-    """Drives as an actor of a distributed run does, and can be written down in the middle of its episodes."""
+    """Drives as an actor of a distributed run; its state can be saved in the middle of episodes."""
 
     def __init__(self, run_file: RunFile, stack: ExitStack) -> None:
-        """Environments are made with the first policy; `stack` closes them."""
+        """The environments are made with the first policy; `stack` closes them."""
         self._run_file, self._stack = run_file, stack
         self._batch: RepeatableBatch | None = None
         self._rollout = Rollout(
@@ -40,39 +40,39 @@ class SerialActor:
 
     @property
     def policy(self) -> PolicyUpdate:
-        """What decides."""
+        """The current policy."""
         if self._policy is None:
             raise RuntimeError("no policy has been published yet")
         return self._policy
 
-    def adopt(self, policy: PolicyUpdate) -> None:
-        """Decide with another policy from now on."""
+    def set_policy(self, policy: PolicyUpdate) -> None:
+        """Use another policy from now on."""
         self._rollout.adopt(policy)
-        # When that was is of no account here, and no two runs would agree on it.
+        # The time of publication is not used here, and it would differ between two runs.
         self._policy = replace(policy, published_at=0.0)
 
     def decide(self) -> list[Chunk]:
-        """Make one decision in every environment; the chunks that this completes."""
+        """Make one decision in every environment; return the completed chunks."""
         return self._rollout.step()
 
     def metrics(self) -> dict[str, float]:
-        """How the driving goes since the last call."""
+        """Driving metrics since the last call."""
         return self._rollout.statistics.report()
 
     def state(self) -> dict[str, Any]:
-        """Everything that `resume` needs, as tensors and plain values that nobody changes later."""
+        """The state for `resume`, as tensors and plain values that do not change later."""
         policy = asdict(self.policy)
-        assert self._batch is not None  # since there is a policy
+        assert self._batch is not None  # made with the policy
         state: dict[str, Any] = to_tensors(
             {"policy": policy, "rollout": self._rollout.state(), "environments": self._batch.state()}
         )
         return state
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Be where the actor was that `state` is of.
+        """Restore the state of an earlier actor.
 
         Raises:
-            CannotResume: an environment does not come back to where it was.
+            CannotResume: an environment does not return to its earlier state.
             KeyError, TypeError, ValueError: the state does not fit the run's settings.
         """
         arrays = to_arrays(dict(state))
@@ -81,8 +81,8 @@ class SerialActor:
         if len(arrays["environments"]["seeds"]) != len(self._rollout):
             raise ValueError(f"it has {len(arrays['environments']['seeds'])} environments")
         self._rollout.adopt(self._policy)
-        assert self._batch is not None  # since a policy was adopted
-        self._batch.drive_again(arrays["environments"])
+        assert self._batch is not None  # made with the policy
+        self._batch.replay_decisions(arrays["environments"])
         self._rollout.load_state(arrays["rollout"])
 
     def _make_batch(self, kind: str) -> RepeatableBatch:

@@ -1,4 +1,4 @@
-"""A serial run from its folder's lock to its closing comparison."""
+"""A serial run, from locking its folder to its closing comparison."""
 
 from __future__ import annotations
 
@@ -10,26 +10,29 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import torch
-from athrl_evaluator.episodes import Stopped
-from athrl_evaluator.results import ResultsFolder
-from athrl_evaluator.scoring import Scoring
+from athrl_evaluator.scorer import Scoring
+from athrl_evaluator.scoring.episodes import Stopped
+from athrl_evaluator.scoring.results import ResultsFolder
 from athrl_learner import CannotResume
 from athrl_learner.checkpoint import CheckpointContent
-from athrl_learner.device import log_device
-from athrl_learner.going_on import checkpoint_to_go_on_from
-from athrl_learner.memory import keep_freed_memory
-from athrl_learner.parts import make_parts
-from athrl_learner.run import short_collections
+from athrl_learner.checkpoint.resume import checkpoint_to_resume
+from athrl_learner.components import make_components
+from athrl_learner.log import count_of
+from athrl_learner.run import frozen_garbage_collector
+from athrl_learner.run_changes import replace_settings
 from athrl_learner.run_folder import RunFolder
+from athrl_learner.training.device import log_device
+from athrl_learner.training.memory import keep_freed_memory
 from athrl_protocol import EvaluationResult
-from athrl_protocol.run_file import RunFile, to_toml
+from athrl_protocol.run_file import RunFile, with_whole_maps
+from athrl_spaces.untrusted import parser_errors
 
+from athrl.display import Display
 from athrl.runs import run_folder
 from athrl.serial.actor import SerialActor
 from athrl.serial.rounds import Observers, SerialRun
-from athrl.serial.trace import Trace, cut_back, size_of
+from athrl.serial.trace import Trace, size_of, truncate_to
 from athrl.serial.view import SerialView
-from athrl.train.display import Display
 
 log = logging.getLogger(__name__)
 
@@ -42,34 +45,36 @@ def run_serial(
     stop_at: int | None = None,
     display: Display | None = None,
 ) -> bool:
-    """Start a run, or go on with one, until it is finished and compared; whether it is.
+    """Start or resume a run, until it is finished and compared; return whether it is.
 
     Calls `torch.use_deterministic_algorithms` and `torch.set_num_threads` for the whole process.
 
     Args:
-        settings: of the run.
-        resume: whether the run's folder holds it already.
+        settings: settings of the run.
+        resume: whether the folder already holds the run.
         stop: set from a signal handler or another thread; the round is finished and a checkpoint written.
-        stop_at: environment steps of the whole run after which to stop in the same way.
-        display: shows how the run goes.
+        stop_at: total environment steps after which to stop in the same way.
+        display: shows the progress.
 
     Raises:
-        LearnerError: the folder is taken, in use, or cannot be resumed, the disk does not take the run, or
-            this machine has not the device that the settings ask for.
+        LearnerError: the folder is taken, in use, or cannot be resumed, it cannot be written, or this machine
+            does not have the device in the settings.
+        RunFileError: a map is missing or is another one.
     """
+    settings = with_whole_maps(settings)
     log_device(settings)
     _make_torch_deterministic(settings)
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(run_folder(settings)))
-        content = checkpoint_to_go_on_from(folder, resuming=resume, serial=True)
+        content = checkpoint_to_resume(folder, resuming=resume, serial=True)
         stack.enter_context(_log_in(folder.path / "logs" / "serial.log"))
         session = SerialSession(settings, folder, content, stack, display)
-        stack.enter_context(short_collections())
+        stack.enter_context(frozen_garbage_collector())
         return session.run(stop, stop_at)
 
 
 class SerialSession:
-    """The parts of a serial run, put together."""
+    """The components of a serial run, put together."""
 
     def __init__(
         self,
@@ -79,31 +84,33 @@ class SerialSession:
         stack: ExitStack,
         display: Display | None,
     ) -> None:
-        """Make the parts, from `content` if there is any; what must be closed is put on `stack`.
+        """Make the components, from `content` if given; everything that must be closed is put on `stack`.
 
         Raises:
-            CannotResume: `content` does not fit the settings, or an environment does not come back.
+            CannotResume: `content` does not fit the settings, or an environment cannot be restored.
         """
         self._actor = SerialActor(settings, stack)
-        self._parts = make_parts(
-            stack, settings, folder, content, self._actor.adopt, after_the_checkpoint="driven again"
+        self._components = make_components(
+            stack, settings, folder, content, self._actor.set_policy, later_experience="repeated"
         )
         if content is not None:
-            self._go_on(content)
+            self._resume(content)
         results = ResultsFolder(folder.path.parent, folder.path.name)
         self._files = {"trace": folder.path / "trace.txt", "evaluations": folder.path / "evaluations.jsonl"}
-        self._cut_back(content)
-        folder.lay_out(to_toml(settings))
-        self._scoring = Scoring(settings, results, stack, tell=self._heard)
-        self._view = SerialView(settings, folder.path, self._parts, self._actor, self._scoring.files, display)
+        self._truncate_to_checkpoint(content)
+        changes = replace_settings(folder, settings, self._components.store.environment_steps)
+        self._scoring = Scoring(settings, results, stack, tell=self._note_result)
+        self._view = SerialView(
+            settings, folder.path, self._components, self._actor, self._scoring.files, display, changes
+        )
         self._run = SerialRun(
-            settings, self._parts, self._actor, Trace(self._files["trace"]), self._observers()
+            settings, self._components, self._actor, Trace(self._files["trace"]), self._observers()
         )
         if content is None:
             self._run.begin()
 
     def run(self, stop: threading.Event, stop_at: int | None) -> bool:
-        """Go through the run and its closing comparison; whether it came to its end."""
+        """Run to the end, including the closing comparison; return whether the end was reached."""
         if not self._run.run(stop, stop_at):
             return False
         self._view.finished()
@@ -114,52 +121,56 @@ class SerialSession:
             return False
         return True
 
-    def _go_on(self, content: CheckpointContent) -> None:
+    def _resume(self, content: CheckpointContent) -> None:
         assert content.actor is not None
-        try:
+        with parser_errors(_does_not_fit, RuntimeError):
             self._actor.resume(content.actor)
-        except (KeyError, TypeError, ValueError) as error:
-            raise CannotResume(
-                f"the checkpoint's actor does not fit the run's settings; was one overridden? {error}"
-            ) from None
-        self._parts.publication.go_on(content.policy_version)
-        self._parts.publication.noise_scale = self._actor.policy.noise_scale
+        self._components.publication.resume_from(content.policy_version)
+        self._components.publication.noise_scale = self._actor.policy.noise_scale
 
-    def _cut_back(self, content: CheckpointContent | None) -> None:
-        """Forget what a killed run wrote behind the checkpoint: it happens again, and is the same."""
-        noted = content.actor["files"] if content is not None and content.actor is not None else {}
-        for name, path in self._files.items():
-            cut_back(path, int(noted.get(name, 0)))
-        removed = self._parts.store.log.remove_later()
+    def _truncate_to_checkpoint(self, content: CheckpointContent | None) -> None:
+        """Remove what a killed run wrote after the checkpoint: it will be repeated identically."""
+        with parser_errors(_does_not_fit):
+            noted = content.actor["files"] if content is not None and content.actor is not None else {}
+            sizes = {path: count_of(noted.get(name, 0)) for name, path in self._files.items()}
+        for path, size in sizes.items():
+            truncate_to(path, size)
+        removed = self._components.store.log.remove_later_segments()
         if removed:
-            log.info("%d segments of the log came after the checkpoint; they are driven again", removed)
+            log.info("removed %d segments of the log after the checkpoint, to be repeated", removed)
 
     def _observers(self) -> Observers:
         return Observers(
             score=lambda: self._scoring.score_policy(self._actor.policy, recorded=False),
             report=self._view.report,
-            look=self._view.look,
+            refresh=self._view.refresh,
             files=lambda: {name: size_of(path) for name, path in self._files.items()},
         )
 
-    def _heard(self, result: EvaluationResult) -> None:
-        self._view.heard(result)
+    def _note_result(self, result: EvaluationResult) -> None:
+        self._view.note_result(result)
         if result.driver == "policy":
-            self._parts.best.heard(result.policy_version, result.scores["return_mean"])
+            self._components.best.add_score(result.policy_version, result.scores["return_mean"])
+
+
+def _does_not_fit(reason: str) -> CannotResume:
+    return CannotResume(
+        f"the checkpoint's actor does not fit the run's settings; was one overridden? {reason}"
+    )
 
 
 def _make_torch_deterministic(settings: RunFile) -> None:
-    # Both are read when the libraries are first used: sums in one order, whatever the memory's alignment.
+    # Both are read at the first use of the libraries: the order of sums must not depend on alignment.
     os.environ.setdefault("MKL_CBWR", "AUTO")
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.use_deterministic_algorithms(True)
-    # By itself one thread: with another number sums come out otherwise, and the machine shall not matter.
+    # One thread by default: sums depend on the number of threads, and the machine should not matter.
     keep_freed_memory()
 
 
 @contextmanager
 def _log_in(path: Path) -> Iterator[None]:
-    """Have the process's log in a file of the run's folder for a while, instead of where it was."""
+    """Write the process's log to a file in the run's folder within the context."""
     path.parent.mkdir(parents=True, exist_ok=True)
     root = logging.getLogger()
     before = root.handlers[:]

@@ -1,4 +1,4 @@
-"""Nested states of arrays as nested states of tensors, which a checkpoint writes and reads without pickle."""
+"""Converts nested states of arrays to tensors, which a checkpoint writes and reads without pickle."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""A whole run on one machine: the services as processes of their own, watched over and shown."""
+"""A complete run on one machine: services as separate processes, supervised and displayed."""

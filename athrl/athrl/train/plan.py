@@ -1,38 +1,38 @@
-"""Which processes a run on this machine consists of."""
+"""The processes of a run on this machine."""
 
 from __future__ import annotations
 
 import importlib.util
 import os
-import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from athrl_protocol.run_file import EnvironmentSection, RunFile
+from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_json
 
 from athrl import runs
 from athrl.errors import CommandError
 from athrl.train.process import ServiceProcess
-from athrl.train.supervisor import Service
+from athrl.train.supervisor import EARLY_SECONDS, Service
 
 RESTARTS = 5
 LEARNER_RESTARTS = 3
-BACKGROUND = 10  # niceness: the evaluator and the viewer's bridge take what the run leaves them
+BACKGROUND = 10  # niceness of the evaluator and of the viewer's bridge
 
 
 CORES_FOR_ANOTHER_ACTOR = 3
-"""Further cores from which on another actor drives."""
+"""Additional cores for each additional actor."""
 
 
 @dataclass(frozen=True)
 class CoreDivision:
-    """What the cores of this machine do in a run.
+    """Division of this machine's cores in a run.
 
     Attributes:
-        cores: that the run may use.
-        threads: with which the learner trains.
-        actors: processes that drive beside it, with one thread each.
+        cores: usable cores.
+        threads: training threads of the learner.
+        actors: actor processes, with one thread each.
     """
 
     cores: int
@@ -47,16 +47,16 @@ class CoreDivision:
 
 
 def divide_cores(cores: int, *, threads: int = 0, actors: int | None = None) -> CoreDivision:
-    """Return what so many cores do, apart from what is settled already.
+    """Divide the cores, except for given numbers.
 
     The learner has a thread for each core: at 8 samples per insert, driving takes about a fifth of the time
-    of training, which the system gives to the actors beside it. One actor keeps a learner of three threads
-    busy.
+    of training, and the operating system shares the cores with the actors. One actor keeps a learner with
+    three threads busy.
 
     Args:
-        cores: that the run may use.
-        threads: of the learner, where the settings say so; 0: as it fits.
-        actors: where the command line says so.
+        cores: usable cores.
+        threads: training threads in the settings; 0: one for each core.
+        actors: number of actors on the command line, if given.
     """
     fitting = 1 + max(0, cores - 1) // CORES_FOR_ANOTHER_ACTOR
     return CoreDivision(cores, threads or max(1, cores), fitting if actors is None else actors)
@@ -76,17 +76,17 @@ def require_services() -> None:
     for service in ("learner", "actor", "evaluator"):
         if importlib.util.find_spec(f"athrl_{service}") is None:
             raise CommandError(
-                f"a whole run needs athrl[all], athrl[{service}] is missing: pip install 'athrl[all]'"
+                f"a complete run needs athrl[all], athrl[{service}] is missing: pip install 'athrl[all]'"
             )
 
 
 def require_world(environment: EnvironmentSection) -> None:
-    """Raise an error of one line for a map in which no actor could drive, or one with too little room."""
+    """Raise an error of one line for a map that cannot be driven, or has too little room for the vehicles."""
     from athrl_driving.maps import load_town
     from athrl_driving.traffic import starting_places
 
     for town in environment.towns:
-        places = starting_places(load_town(town))
+        places = starting_places(load_town(town, strict=environment.strict_map))
         if environment.vehicles > places:
             raise CommandError(
                 f"environment.vehicles is {environment.vehicles}, {town} has room for {places}"
@@ -94,7 +94,7 @@ def require_world(environment: EnvironmentSection) -> None:
 
 
 class Plan:
-    """The services of one run, each with its command line, its log and what its death means."""
+    """The services of one run, each with its command line, its log and its restarts."""
 
     def __init__(
         self, settings: RunFile, *, run_file: Path | None, overrides: Sequence[str], resume: bool
@@ -108,9 +108,9 @@ class Plan:
         self.address = address.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
 
     def learner(self, threads: int) -> Service:
-        """The learner, which trains with so many threads; after a death it resumes its newest checkpoint."""
+        """The learner with a number of training threads; a restarted one resumes the newest checkpoint."""
         if self.resume:
-            arguments = ["learner", "--resume", str(self.folder), *self._overrides]
+            arguments = ["learner", "--resume", str(self.folder), *self._run_file, *self._overrides]
             again: list[str] = []
         else:
             arguments = ["learner", *self._run_file, *self._overrides]
@@ -121,17 +121,41 @@ class Plan:
     def actor(self, number: int) -> Service:
         """An actor."""
         name = f"actor-{number}"
-        return Service(self._process(name, ["actor", *self._where(), "--name", name]), RESTARTS)
+        return self._needed_to_the_end(self._process(name, ["actor", *self._where(), "--name", name]))
 
     def evaluator(self) -> Service:
         """The evaluator."""
         arguments = ["evaluator", *self._where(), "--folder", str(self.folder.parent)]
-        return Service(self._process("evaluator", arguments, niceness=BACKGROUND), RESTARTS)
+        return self._needed_to_the_end(self._process("evaluator", arguments, niceness=BACKGROUND))
 
     def viewer(self, port: int) -> Service:
-        """The bridge to rerun; the run goes on without it."""
+        """The bridge to rerun; the run continues without it."""
         arguments = ["watch", *self._where(), "--serve", str(port)]
-        return Service(self._process("viewer", arguments, niceness=BACKGROUND), RESTARTS, optional=True)
+        process = self._process("viewer", arguments, niceness=BACKGROUND)
+        return self._needed_to_the_end(process, optional=True)
+
+    def experience_is_complete(self) -> bool:
+        """Return whether the learner has published a policy after all of the run's environment steps.
+
+        Known from its file: what arrives over the network may be of another process.
+        """
+        try:
+            with parser_errors(UntrustedFile):
+                facts = read_json(self.folder / "policies" / "latest.json")
+                return int(facts["environment_steps"]) >= self.settings.run.environment_steps
+        except UntrustedFile:  # none is published yet
+            return False
+
+    def _needed_to_the_end(self, process: ServiceProcess, *, optional: bool = False) -> Service:
+        """A service that must not leave before the run's experience is complete."""
+        return Service(
+            process,
+            RESTARTS,
+            optional=optional,
+            may_leave=self.experience_is_complete,
+            # The learner tells actors that it needs no more before it publishes the next policy.
+            early_seconds=max(EARLY_SECONDS, 2 * self.settings.learner.publish_seconds),
+        )
 
     def _where(self) -> list[str]:
         return ["--connect", self.address, "--run", self.settings.run.name]
@@ -140,14 +164,3 @@ class Plan:
         self, name: str, arguments: list[str], niceness: int = 0, threads: int = 1
     ) -> ServiceProcess:
         return ServiceProcess(name, arguments, self.folder / "logs" / f"{name}.log", niceness, threads)
-
-
-def is_free(port: int) -> bool:
-    """Return whether nobody listens at this port of the loopback interface."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-        return True

@@ -1,4 +1,4 @@
-"""One service of a run as a process: started, watched, asked to stop, ended."""
+"""One service of a run as a child process."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 @dataclass
 class ServiceProcess:
-    """A subcommand of `athrl` as a child process in a process group of its own.
+    """A subcommand of `athrl` as a child process in its own process group.
 
-    It lives in a session of its own, so that Ctrl-C in the terminal reaches `athrl train` alone, which then
-    stops the services in order. Its standard input is a pipe that nobody writes to: it ends when this process
-    does, and the service stops (`athrl.stopping`). `threads` is how many its numerical libraries start.
+    It has its own session, so that Ctrl-C in the terminal only reaches `athrl train`, which then stops the
+    services in order. Its standard input is a pipe without data: it ends with this process, and then the
+    service stops (`athrl.stopping`). `threads` is the number of threads of its numerical libraries. It keeps
+    the file descriptors `kept_open`, and with them their locks.
     """
 
     name: str
@@ -32,13 +33,14 @@ class ServiceProcess:
     log: Path
     niceness: int = 0
     threads: int = 1
+    kept_open: tuple[int, ...] = ()
     command: list[str] = field(default_factory=lambda: [sys.executable, "-m", "athrl"])
     started_at: float = field(default=0.0, init=False)
     _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
     _log_start: int = field(default=0, init=False)
 
     def start(self, extra_arguments: list[str] | None = None) -> None:
-        """Start the process; what it says is appended to its log."""
+        """Start the process; its output is appended to its log."""
         environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}
         environment.update(dict.fromkeys(_THREADS, str(self.threads)))
         try:
@@ -55,6 +57,7 @@ class ServiceProcess:
                 stderr=log,
                 env=environment,
                 start_new_session=True,
+                pass_fds=self.kept_open,
             )
         self.started_at = time.monotonic()
         if self.niceness:
@@ -76,7 +79,7 @@ class ServiceProcess:
             self._process.terminate()
 
     def wait(self, seconds: float) -> bool:
-        """Wait at most so long for the process to end; return whether it has."""
+        """Wait at most `seconds` for the process to end; return whether it has."""
         if self._process is None:
             return True
         try:
@@ -86,13 +89,13 @@ class ServiceProcess:
         return True
 
     def kill(self) -> None:
-        """End the process and whatever it started, without waiting."""
+        """End the process and its child processes, without waiting."""
         if self._process is not None:
-            with contextlib.suppress(ProcessLookupError):  # the group is gone with its last process
+            with contextlib.suppress(ProcessLookupError):  # the group has ended with its last process
                 os.killpg(self._process.pid, signal.SIGKILL)
 
     def end(self) -> None:
-        """End the process and whatever it started, and wait for it."""
+        """End the process and its child processes, and wait for it."""
         if self._process is None:
             return
         self.kill()

@@ -1,4 +1,4 @@
-"""The course of a run on this machine: start, watch, closing comparison, or drain."""
+"""The main loop of a run on this machine: start, supervise, closing comparison, or drain."""
 
 from __future__ import annotations
 
@@ -7,25 +7,26 @@ import time
 from contextlib import ExitStack
 
 from athrl_protocol import LearnerNotFound, Phase, RunNotFound
-from athrl_protocol.session import require_free
+from athrl_protocol.transport.session import require_free
 
+from athrl.display import Display
 from athrl.errors import CommandError
-from athrl.names import program
+from athrl.ports import is_free
 from athrl.run_view import RunSnapshot, RunView
+from athrl.service_names import program
 from athrl.services import CHECKPOINT_SECONDS
 from athrl.train import simulation
-from athrl.train.display import Display
-from athrl.train.plan import CoreDivision, Plan, is_free
+from athrl.train.plan import CoreDivision, Plan
 from athrl.train.supervisor import Supervisor
 
 START_SECONDS = 120.0
-"""How long the learner may take until it answers."""
-GLANCE_SECONDS = 0.2
+"""Limit for the learner's first answer."""
+POLL_SECONDS = 0.2
 DRAIN_SECONDS = 20.0
 STOP_SECONDS = DRAIN_SECONDS + CHECKPOINT_SECONDS + 10.0
-"""How long it all may take from the first signal: the others, then the learner, then to leave."""
+"""Limit for draining all services after the first signal, the learner last."""
 COMPARISON_SECONDS = 1800.0
-"""How long the evaluator may go on after the learner has left."""
+"""Limit for the evaluator after the learner has ended."""
 
 
 class TrainingSession:
@@ -48,12 +49,12 @@ class TrainingSession:
         self._evaluator = plan.evaluator()
         self._viewer_port = viewer_port
         self._comparison_until = 0.0
-        self._where_to_look = [f"run folder {plan.folder}, what each process says in {plan.folder / 'logs'}"]
+        self._where_to_look = [f"run folder {plan.folder}, logs of all processes in {plan.folder / 'logs'}"]
 
     def run(self, stop: threading.Event) -> bool:
-        """Go through the run; return whether it finished rather than was stopped.
+        """Run to the end; return whether the run is finished rather than stopped.
 
-        No service is left running when this returns or raises.
+        No service is running any more when this returns or raises.
 
         Raises:
             ServiceDied: a service could not be kept alive.
@@ -76,16 +77,16 @@ class TrainingSession:
                 return False
             self._start_others()
             while not self._over(view.snapshot()):
-                if stop.wait(GLANCE_SECONDS):
+                if stop.wait(POLL_SECONDS):
                     self._drain()
                     return False
                 self._supervisor.check()
-                if not self._learner.finished:  # afterwards nobody is there to be shown
+                if not self._learner.finished:  # afterwards there is no learner to show
                     self._display.show(view.snapshot(), self._where_to_look)
             return not self._stopped_early(view.snapshot())
 
     def _open_view(self, stop: threading.Event, stack: ExitStack) -> RunView | None:
-        """Wait until the learner answers and return a view of the run; None when asked to stop before."""
+        """Wait until the learner answers and return a view of the run; None if `stop` was set before."""
         deadline = time.monotonic() + START_SECONDS
         while not stop.is_set():
             self._supervisor.check()
@@ -93,7 +94,7 @@ class TrainingSession:
                 return stack.enter_context(
                     RunView(self._plan.address, self._plan.settings.run.name, timeout=1.0, stop=stop)
                 )
-            except (LearnerNotFound, RunNotFound):  # the latter: at the address of somebody else's learner
+            except (LearnerNotFound, RunNotFound):  # the latter: another learner uses the address
                 if time.monotonic() > deadline:
                     log = self._learner.process.log
                     raise CommandError(
@@ -103,7 +104,7 @@ class TrainingSession:
 
     def _start_others(self) -> None:
         if not simulation.is_compiled():
-            self._display.say("first the simulation is compiled, about a minute, once per installation")
+            self._display.say("compiling the simulation, about a minute, once per installation")
         for service in [*self._actors, self._evaluator]:
             self._supervisor.start(service)
         self._where_to_look += self._start_viewer()
@@ -111,7 +112,7 @@ class TrainingSession:
             self._display.say(line)
 
     def _start_viewer(self) -> list[str]:
-        """Start the bridge to rerun where its port is free; return how to watch."""
+        """Start the bridge to rerun if its port is free; return how to watch."""
         name, address = self._plan.settings.run.name, self._plan.address
         by_command = f"{program('athrl')} watch --connect {address} --run {name}"
         if self._viewer_port == 0:
@@ -125,7 +126,7 @@ class TrainingSession:
         return [f"to watch: {viewer}, or {by_command}"]
 
     def _over(self, snapshot: RunSnapshot) -> bool:
-        """Return whether learner and evaluator are done, and see the actors off when the learner is."""
+        """Return whether learner and evaluator are done; end the actors when the learner is."""
         if not self._learner.finished:
             return False
         self._supervisor.stop(self._actors, DRAIN_SECONDS)
@@ -136,12 +137,12 @@ class TrainingSession:
 
     @staticmethod
     def _stopped_early(snapshot: RunSnapshot) -> bool:
-        """Return whether somebody else asked the learner to drain before the run's end."""
+        """Return whether the learner was drained by another process before the end of the run."""
         return snapshot.state is not None and snapshot.state.phase is Phase.DRAINING
 
     def _drain(self) -> None:
-        """Stop everybody in order: the learner last, so that it takes in what the others still have."""
-        self._display.say("stopping; once more stops at once")
+        """Stop all services in order: the learner last, so that it receives what the others still hold."""
+        self._display.say("stopping; a second signal stops at once")
         others = [service for service in self._supervisor.services if service is not self._learner]
         self._supervisor.stop(others, DRAIN_SECONDS)
         self._supervisor.stop([self._learner], CHECKPOINT_SECONDS)

@@ -1,10 +1,11 @@
-"""Whether the first start on a machine will take longer, because the simulation has to be compiled."""
+"""Checks whether the simulation must be compiled, which delays the first start on a machine."""
 
 from pathlib import Path
 
 
 def is_compiled() -> bool:
-    """Return whether machine code of the simulation as it is now is kept."""
-    from athrl_driving.compilation import cache_folder
+    """Return whether machine code of the current simulation is cached."""
+    from athrl_driving.kernels.compilation import cache_folder
+    from athrl_driving.kernels.machine_code import INDEX
 
-    return any(Path(cache_folder()).rglob("*.nbi"))
+    return any(Path(cache_folder()).rglob(f"*{INDEX}"))

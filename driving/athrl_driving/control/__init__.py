@@ -1,4 +1,4 @@
-"""The low level: PID controllers that turn a target speed and a waypoint into acceleration and steering."""
+"""Low-level PID controllers that convert a target speed and a waypoint to acceleration and steering."""
 
 from athrl_spaces.action_kinds import MAXIMUM_ACCELERATION, MAXIMUM_STEERING
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled
+from athrl_driving.kernels.compilation import compiled
 
 ERROR_SUM, LAST_ERROR = 0, 1
 """Places in a controller's memory, float64 [2]; the last error is NaN before the first step."""
@@ -43,10 +43,10 @@ def forget(memory: NDArray[np.float64]) -> None:
 class Pid:
     """Proportional, derivative and integral control with a symmetric limit.
 
-    The integral only grows while the output is within the limit or the error pulls it back (conditional
-    integration), so standing on the limit does not wind it up.
+    The integral only grows while the output is within the limit or the error reduces it (conditional
+    integration), so it does not wind up at the limit.
 
-    `memory`, float64 [2], is where it remembers; the controllers of an environment are views of its state.
+    `memory`, float64 [2], holds integral and last error; an environment's controllers use views of its state.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Pid:
         return None if math.isnan(error) else error
 
     def reset(self) -> None:
-        """Forget the past: at the start of an episode, and only there."""
+        """Clear the memory; only at the start of an episode."""
         forget(self.memory)
 
     def step(self, error: float, interval: float) -> float:

@@ -1,4 +1,4 @@
-"""The controller of a car that is given a target speed and a waypoint.
+"""The controller of a car with a target speed and a waypoint.
 
 Frames and units are the ones of highway-env throughout: metres, seconds, m/s for target and measured speed
 alike, and headings that grow clockwise as y points down, so a positive angle is to the driver's right.
@@ -12,8 +12,8 @@ import numpy as np
 from athrl_spaces.action_kinds import MAXIMUM_ACCELERATION, MAXIMUM_STEERING
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled
 from athrl_driving.control.pid import Pid, pid_step
+from athrl_driving.kernels.compilation import compiled
 
 WHEEL_ANGLE_PER_STEERING = math.radians(70.0)
 """Angle of the front wheels for a steering command of 1, rad; the limit of 0.3 is 21 degrees."""
@@ -51,8 +51,8 @@ def steering_command(
 ) -> float:
     """Steering command towards the waypoint, within +-MAXIMUM_STEERING, positive to the right.
 
-    A waypoint that has been passed pulls no more: turning back to it would be no driving. `memory`
-    float64 [2] is the steering loop's.
+    A waypoint behind the car has no effect: the car does not turn back to it. `memory` float64 [2] is the
+    steering loop's.
     """
     angle = angle_to(x, y, heading, waypoint_x, waypoint_y)
     if abs(angle) > math.pi / 2:
@@ -66,9 +66,9 @@ def angle_in_frame(x: float, y: float, heading: float, target: tuple[float, floa
 
 
 class WaypointController:
-    """Speed and steering loop; both remember the past from tick to tick and from decision to decision.
+    """Speed and steering loop; both keep their memory from tick to tick and from decision to decision.
 
-    `speed_memory` and `steering_memory`, float64 [2], are where they remember.
+    `speed_memory` and `steering_memory`, float64 [2], are their memories.
     """
 
     def __init__(
@@ -92,6 +92,6 @@ class WaypointController:
     def steering(
         self, x: float, y: float, heading: float, waypoint: tuple[float, float], interval: float
     ) -> float:
-        """Steering command towards the waypoint, as `steering_command` has it."""
+        """Steering command towards the waypoint; see `steering_command`."""
         place = (float(x), float(y), float(heading), float(waypoint[0]), float(waypoint[1]))
         return steering_command(self.steering_loop.memory, *place, interval)

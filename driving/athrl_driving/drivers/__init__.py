@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from athrl_spaces import REFERENCE_DRIVERS
+
 from athrl_driving.drivers.blind import BlindRouteFollower
 from athrl_driving.drivers.driver import Driver
 from athrl_driving.drivers.random_driver import RandomDriver
 from athrl_driving.drivers.rule_based import RuleBasedDriver
 
+_RANDOM, _BLIND, _RULE_BASED = REFERENCE_DRIVERS
 DRIVERS: dict[str, type[Driver]] = {
-    "random": RandomDriver,
-    "blind": BlindRouteFollower,
-    "rule-based": RuleBasedDriver,
+    _RANDOM: RandomDriver,
+    _BLIND: BlindRouteFollower,
+    _RULE_BASED: RuleBasedDriver,
 }
 """The drivers by name."""
 

@@ -1,4 +1,4 @@
-"""How hard to accelerate behind somebody or towards a place to stop at."""
+"""The intelligent driver model behind a leader or towards a stop line."""
 
 from __future__ import annotations
 
@@ -26,6 +26,6 @@ def following_acceleration(speed: float, desired_speed: float, gap: float, leade
 
 
 def is_safe_behind(gap: float, speed: float, leader_speed: float) -> bool:
-    """Tell whether a gap (m) is enough to get behind a leader and then to brake comfortably at most."""
+    """Tell whether a gap (m) is enough to move in behind a leader without more than comfortable braking."""
     closing = max(speed**2 - leader_speed**2, 0.0) / (2.0 * COMFORTABLE_BRAKING)
     return gap > STANDSTILL_GAP + 0.6 * speed + closing

@@ -1,4 +1,4 @@
-"""Pure pursuit of the route, expressed as the waypoint angle that makes the steering loop do it."""
+"""Pure pursuit of the route, expressed as the waypoint angle for the steering loop."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from athrl_driving.drivers.driver import DrivenTown
 
 
 def pursuit_angle(env: DrivenTown, distance: float) -> float:
-    """Waypoint angle (rad, positive to the right) that leads the ego to the route `distance` metres on.
+    """Waypoint angle (rad, positive to the right) that leads the ego to the route `distance` metres ahead.
 
-    The circle through the ego and the goal has a curvature; the bicycle model turns it into a wheel angle,
-    and the steering loop's gain that into the waypoint angle that commands it.
+    The circle through the ego and that point has a curvature; the bicycle model converts it to a wheel angle,
+    and the steering loop's gain converts that to the waypoint angle.
     """
     ego, route = env.vehicle, env.route
     x, y = float(ego.position[0]), float(ego.position[1])

@@ -1,4 +1,4 @@
-"""The driver below every other."""
+"""The weakest reference driver."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.drivers.driver import Driver
-from athrl_driving.envs import TownRow
+from athrl_driving.envs import EnvView
 
 
 class RandomDriver(Driver):
@@ -16,11 +16,11 @@ class RandomDriver(Driver):
     def __init__(self) -> None:
         self._generator = np.random.default_rng(0)
 
-    def reset(self, env: gymnasium.Env | TownRow, seed: int) -> None:
+    def reset(self, env: gymnasium.Env | EnvView, seed: int) -> None:
         """Begin an episode with a generator of its own."""
         super().reset(env, seed)
         self._generator = np.random.default_rng(seed)
 
-    def act(self, env: gymnasium.Env | TownRow) -> NDArray[np.float32]:
-        """A uniform action."""
+    def act(self, env: gymnasium.Env | EnvView) -> NDArray[np.float32]:
+        """Draw a uniform action."""
         return self._generator.uniform(-1.0, 1.0, size=2).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The driver that a learned policy has to beat: keeps its distance, keeps to the route, gives way."""
+"""The driver that a learned policy has to beat: it keeps its distance, follows the route and gives way."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from athrl_driving.drivers.car_following import following_acceleration, is_safe_
 from athrl_driving.drivers.driver import DrivenTown, Driver, town_of
 from athrl_driving.drivers.lane_change import next_lane_change
 from athrl_driving.drivers.pursuit import pursuit_angle
-from athrl_driving.envs import TownRow
+from athrl_driving.envs import EnvView
 from athrl_driving.route import CURVATURE
 
 
 class RuleBasedDriver(Driver):
-    """The intelligent driver model towards its leader and its stop line, pure pursuit of the route.
+    """The intelligent driver model for its leader and its stop line, and pure pursuit of the route.
 
-    It enters a junction only with the right of way that the road grants, where there are lights at green, and
-    changes lanes only into a gap in which nobody has to brake hard.
+    It enters a junction only with the right of way that the road grants, at traffic lights only at green, and
+    changes lanes only into a gap in which no vehicle has to brake hard.
     """
 
     BEND_BRAKING = 1.5
@@ -28,8 +28,8 @@ class RuleBasedDriver(Driver):
     LATERAL_ACCELERATION = 2.5
     """Bound in bends, m/s2."""
 
-    def act(self, env: gymnasium.Env | TownRow) -> NDArray[np.float32]:
-        """Towards the route, as fast as what lies ahead allows."""
+    def act(self, env: gymnasium.Env | EnvView) -> NDArray[np.float32]:
+        """Follow the route, as fast as traffic, junctions and bends ahead allow."""
         town = town_of(env)
         speed = town.vehicle.speed
         acceleration = self._acceleration(town)
@@ -43,7 +43,7 @@ class RuleBasedDriver(Driver):
         return 4.0 + 0.4 * speed
 
     def _acceleration(self, env: DrivenTown) -> float:
-        """What the most pressing of leader, stop line, lane change and free road asks for, m/s2."""
+        """The smallest acceleration of those for leader, stop line, lane change and free road, m/s2."""
         speed, maximum = env.vehicle.speed, env.action_type.maximum_speed
         gap, leader_speed = env.road.leader_of_ego()
         acceleration = following_acceleration(speed, self._desired_speed(env), gap, leader_speed)
@@ -53,7 +53,7 @@ class RuleBasedDriver(Driver):
         return min(acceleration, self._for_lane_change(env))
 
     def _for_lane_change(self, env: DrivenTown) -> float:
-        """What the traffic on the lane that the route changes to next asks for, m/s2."""
+        """The acceleration that the next lane change of the route allows, m/s2; inf without one."""
         change = next_lane_change(env)
         if change is None:
             return math.inf
@@ -64,18 +64,18 @@ class RuleBasedDriver(Driver):
         )
         if under_way or is_free:
             return following_acceleration(speed, maximum, change.gap_ahead, change.speed_ahead)
-        # Somebody is in the way: the lane is not left before there is a gap.
+        # The target lane is occupied: the ego stays in its lane until there is a gap.
         return following_acceleration(speed, maximum, change.distance, 0.0)
 
     def _desired_speed(self, env: DrivenTown) -> float:
-        """Speed that the bends of the next metres allow, m/s."""
+        """Speed that the bends of the next 30 metres allow, m/s."""
         route = env.route
         desired = env.action_type.maximum_speed
-        for piece, start in zip(route.pieces[route.index :], route.starts[route.index :], strict=False):
+        for segment, start in zip(route.segments[route.index :], route.starts[route.index :], strict=False):
             distance = max(float(start) - route.position, 0.0)
             if distance > 30.0:
                 break
-            curvature = abs(float(piece[CURVATURE]))
+            curvature = abs(float(segment[CURVATURE]))
             if curvature > 0.0:
                 bend_speed = math.sqrt(self.LATERAL_ACCELERATION / curvature)
                 desired = min(desired, math.sqrt(bend_speed**2 + 2.0 * self.BEND_BRAKING * distance))

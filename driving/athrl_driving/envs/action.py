@@ -1,4 +1,4 @@
-"""The kinds of action: target speed and waypoint, both of them out of a set, acceleration and steering."""
+"""The kinds of action: target speed and waypoint, the same out of a set, and acceleration and steering."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from athrl_driving.errors import DrivingError
 
 
 class TownAction(ActionType):
-    """One of the kinds of action; each is two entries.
+    """One of the kinds of action; each has two entries.
 
     Attributes:
         maximum_speed: highest target speed, m/s.
@@ -34,25 +34,25 @@ class TownAction(ActionType):
 
     @property
     def vehicle_class(self) -> Callable:
-        """The vehicle that can carry the action out."""
+        """The class of the vehicle that carries the action out."""
         return EgoVehicle
 
     @classmethod
     @abstractmethod
     def checked(cls, actions: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return decisions as contiguous float32 of `shape`, [2] or [environments, 2].
+        """Return actions as contiguous float32 of `shape`, [2] or [environments, 2].
 
-        Raises DrivingError in one line for what is none.
+        Raises DrivingError in one line for anything else.
         """
 
     def act(self, action: Any) -> None:
-        """Hand the decision to the ego; raises DrivingError for one that is none."""
+        """Apply the action to the ego; raises DrivingError for an invalid one."""
         ego: EgoVehicle = self.controlled_vehicle
         take_decision(self.settings, *ego.arrays, self.checked(action, (2,)))
 
 
 class _BoxAction(TownAction):
-    """Box(-1, 1, (2,)), float32; an entry beyond is taken as the nearest bound."""
+    """Box(-1, 1, (2,)), float32; an entry beyond a bound is taken as the bound."""
 
     def space(self) -> spaces.Box:
         """The action space, float32 [2]."""
@@ -60,9 +60,9 @@ class _BoxAction(TownAction):
 
     @classmethod
     def checked(cls, actions: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return decisions as contiguous float32 of `shape`.
+        """Return actions as contiguous float32 of `shape`.
 
-        Raises DrivingError for another shape, for what is no array of numbers, and for NaN and infinity,
+        Raises DrivingError for another shape, for anything but an array of numbers, and for NaN and infinity,
         which would spread through motion, reward and every later observation.
         """
         checked = _numbers(actions, shape, "float32")
@@ -75,8 +75,8 @@ class _BoxAction(TownAction):
 class WaypointAction(_BoxAction):
     """Target speed from 0 to `maximum_speed`, waypoint angle from -half to +half angle.
 
-    The waypoint lies at `waypoint_radius` metres from the ego, at that angle to the right of its heading when
-    the decision is made, and stays where it is in the world until the next decision.
+    The waypoint is `waypoint_radius` metres from the ego, at that angle to the right of its heading when the
+    decision is made, and is fixed in the world until the next decision.
     """
 
     def normalised(self, target_speed: float, waypoint_angle: float) -> NDArray[np.float32]:
@@ -101,8 +101,9 @@ class DirectAction(_BoxAction):
 class WaypointSetAction(TownAction):
     """MultiDiscrete([3, 16]): a behaviour, which is a target speed, and a waypoint out of a set.
 
-    Behaviours are to stop, to drive at half of `maximum_speed`, and at all of it. Waypoints 0 to 7 lie at
-    half of `waypoint_radius`, from the left half angle to the right one; 8 to 15 at all of it likewise.
+    The behaviours are to stop, to drive at half of `maximum_speed`, and to drive at `maximum_speed`.
+    Waypoints 0 to 7 lie at half of `waypoint_radius`, from the left half angle to the right one; 8 to 15 lie
+    likewise at the full radius.
     """
 
     choices: ClassVar[tuple[int, ...]] = tuple(
@@ -117,10 +118,10 @@ class WaypointSetAction(TownAction):
 
     @classmethod
     def checked(cls, actions: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return decisions as contiguous float32 of `shape`; whole numbers of any type are taken.
+        """Return actions as contiguous float32 of `shape`; whole numbers of any type are accepted.
 
-        Raises DrivingError for another shape, for what is no array of numbers, and for a choice that there
-        is not.
+        Raises DrivingError for another shape, for anything but an array of numbers, and for a choice that
+        does not exist.
         """
         checked = _numbers(actions, shape, "whole numbers")
         exists = (checked >= 0) & (checked < cls.choices) & (checked == np.rint(checked))
@@ -140,7 +141,7 @@ _TYPES: dict[str, type[WaypointAction | WaypointSetAction | DirectAction]] = {
 
 
 def make_action(env: Any) -> WaypointAction | WaypointSetAction | DirectAction:
-    """The action that the checked settings of an environment, `env.config`, ask for."""
+    """The action type that the checked settings of an environment, `env.config`, name."""
     return _TYPES[env.config["action"]["type"]](env)
 
 
@@ -165,8 +166,8 @@ def _numbers(actions: Any, shape: tuple[int, ...], what: str) -> NDArray[np.floa
 
 
 def _refuse(actions: NDArray[np.float32], fits: NDArray[np.bool_], expected: str) -> None:
-    """Raise DrivingError about the decisions that do not fit, with the first of them."""
-    rows = np.flatnonzero(~fits.reshape(-1, actions.shape[-1]).all(axis=1)).tolist()
-    where = f" of environments {rows}" if actions.ndim > 1 else ""
-    wrong = actions.reshape(-1, actions.shape[-1])[rows[0]].tolist()
-    raise DrivingError(f"the action{where} is {wrong}, it should be {expected}")
+    """Raise DrivingError that names the invalid actions and shows the first of them."""
+    wrong = np.flatnonzero(~fits.reshape(-1, actions.shape[-1]).all(axis=1)).tolist()
+    where = f" of environments {wrong}" if actions.ndim > 1 else ""
+    first = actions.reshape(-1, actions.shape[-1])[wrong[0]].tolist()
+    raise DrivingError(f"the action{where} is {first}, it should be {expected}")

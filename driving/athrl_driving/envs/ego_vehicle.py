@@ -1,4 +1,4 @@
-"""The ego as highway-env knows it: a vehicle whose numbers lie in the state of an episode."""
+"""The ego as a vehicle of highway-env whose numbers are stored in the state of an episode."""
 
 from __future__ import annotations
 
@@ -16,12 +16,8 @@ from athrl_driving.episode.ego import (
     ACCELERATION,
     CONTROL_SIZE,
     EGO_LENGTH,
-    EGO_SIZE,
     EGO_WHEELBASE,
     EGO_WIDTH,
-    ELEVATION,
-    HEADING,
-    SPEED,
     SPEED_MEMORY,
     STEERING,
     STEERING_MEMORY,
@@ -29,22 +25,21 @@ from athrl_driving.episode.ego import (
     WAYPOINT_X,
     WAYPOINT_Y,
     WHEEL_ANGLE,
-    X,
-    Y,
     control_ego,
     move_ego,
     place_ego,
 )
+from athrl_driving.traffic.ego_columns import EGO_SIZE, ELEVATION, HEADING, SPEED, X, Y
 
 
 class EgoVehicle(Vehicle):
     """A car of 4.9 x 2.1 m that drives to a waypoint at a target speed.
 
-    The motion is that of highway-env's `Vehicle`, save that the axles lie where such a car has them and not
-    at its bumpers, and that brakes stop the car and do not push it backwards.
+    The motion is that of highway-env's `Vehicle` with two differences: the axles are where such a car has
+    them and not at its bumpers, and brakes stop the car and do not push it backwards.
 
-    `ego` float64 [8] and `control` float64 [10] are what kernels read and write (see `episode.ego`) and
-    `collision` int64 [1] is not 0 after a crash; a vehicle that is given none has its own.
+    `ego` float64 [8] and `control` float64 [10] are what kernels read and write (see `episode.ego`);
+    `collision` int64 [1] is not 0 after a crash. A vehicle that is given no arrays has its own.
     """
 
     LENGTH = EGO_LENGTH
@@ -77,7 +72,7 @@ class EgoVehicle(Vehicle):
         collision: NDArray[np.int64],
         tick: float,
     ) -> EgoVehicle:
-        """The ego that these arrays describe."""
+        """Make the ego that these arrays describe."""
         vehicle = cls.__new__(cls)
         vehicle._take(road, ego, control, collision, "constant_steering")
         vehicle.tick = tick
@@ -110,7 +105,7 @@ class EgoVehicle(Vehicle):
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """float64 [2], m; what is written to it moves the ego."""
+        """float64 [2], m; a view: writing to it moves the ego."""
         return self._ego[X : Y + 1]
 
     @position.setter
@@ -119,7 +114,7 @@ class EgoVehicle(Vehicle):
 
     @property
     def heading(self) -> float:
-        """Radians."""
+        """Heading, rad."""
         return float(self._ego[HEADING])
 
     @heading.setter
@@ -128,7 +123,7 @@ class EgoVehicle(Vehicle):
 
     @property
     def speed(self) -> float:
-        """Metres per second."""
+        """Speed, m/s."""
         return float(self._ego[SPEED])
 
     @speed.setter
@@ -137,12 +132,12 @@ class EgoVehicle(Vehicle):
 
     @property
     def elevation(self) -> float:
-        """Height of the road below it, m."""
+        """Height of the road below the ego, m."""
         return float(self._ego[ELEVATION])
 
     @property
     def crashed(self) -> bool:
-        """Whether it has hit something."""
+        """Whether the ego has hit something."""
         return bool(self._collision[0])
 
     @crashed.setter
@@ -178,12 +173,12 @@ class EgoVehicle(Vehicle):
         self._control[WHEEL_ANGLE], self._control[ACCELERATION] = value["steering"], value["acceleration"]
 
     def follow(self, target_speed: float, waypoint: tuple[float, float]) -> None:
-        """Take a decision: a speed (m/s) and a point (m) in the world, kept until the next decision."""
+        """Set target speed (m/s) and waypoint (m, in the world) until the next decision."""
         self._control[TARGET_SPEED] = target_speed
         self._control[WAYPOINT_X], self._control[WAYPOINT_Y] = waypoint
 
     def act(self, action: dict | str | None = None) -> None:
-        """Run both controllers for one tick, or hold the commands where there is no waypoint.
+        """Run both controllers for one tick; without a waypoint the last commands hold.
 
         `action` sets acceleration and wheel angle directly instead.
         """
@@ -198,6 +193,6 @@ class EgoVehicle(Vehicle):
         self.on_state_update()
 
     def on_state_update(self) -> None:
-        """Keep the history that highway-env's renderer may ask for; the lane is the environment's to set."""
+        """Keep the history that highway-env's renderer may use; the environment sets the lane."""
         if self.road.record_history:
             self.history.appendleft(self.create_from(self))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 from athrl_spaces import MOTION, Observation
@@ -10,10 +10,15 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from numpy.typing import NDArray
 
+from athrl_driving.episode import Episodes
 from athrl_driving.episode.motion import MOTION_LIMIT
 
-if TYPE_CHECKING:
-    from athrl_driving.envs.town_env import TownEnv
+
+class ObservedEnv(Protocol):
+    """What an observation reads of its environment."""
+
+    config: dict[str, Any]
+    episodes: Episodes
 
 
 def observation_space(image_size: int) -> spaces.Dict:
@@ -28,9 +33,9 @@ def observation_space(image_size: int) -> spaces.Dict:
 
 
 class BirdEyeObservation(ObservationType):
-    """What the kernel has drawn: see `observation_space`."""
+    """The observation that the kernel has drawn; see `observation_space`."""
 
-    def __init__(self, env: TownEnv, **_: object) -> None:
+    def __init__(self, env: ObservedEnv, **_: object) -> None:
         super().__init__(env)
         self.image_size = int(env.config["image_size"])
 
@@ -39,6 +44,6 @@ class BirdEyeObservation(ObservationType):
         return observation_space(self.image_size)
 
     def observe(self) -> dict[str, NDArray]:
-        """See the present moment; new arrays at each call."""
-        sight = self.env.episodes.state.sight
-        return {"image": sight.images[0].copy(), "motion": sight.motion[0].copy()}
+        """Return the present observation in new arrays."""
+        observations = self.env.episodes.state.observations
+        return {"image": observations.images[0].copy(), "motion": observations.motion[0].copy()}

@@ -1,22 +1,22 @@
-"""The settings of an environment and their checks: a misspelt or impossible one does not go unnoticed."""
+"""The settings of an environment and their checks: a misspelt or invalid one is an error."""
 
 from __future__ import annotations
 
 import difflib
 import math
 import numbers
-import os
 from collections.abc import Mapping
 from typing import Any
 
 from athrl_spaces import DIRECT, WAYPOINT, WAYPOINT_SET, Limits, action_kind
 from athrl_spaces.environment import BOUNDS
 
-from athrl_driving.episode import Crew, DriveSettings, Episodes, Sight, new_sight
+from athrl_driving.envs.arguments import TOWN_MAY_BE, as_text
+from athrl_driving.episode import DriveSettings, Episodes, ObservationArrays, Workers, new_observation_arrays
 from athrl_driving.episode.decision import KIND_NUMBERS
 from athrl_driving.episode.starts import RANDOM, Journeys, place_on_map
 from athrl_driving.errors import DrivingError
-from athrl_driving.maps import TOWNS, Town, load_town
+from athrl_driving.maps import Town, load_town
 from athrl_driving.perception import EGO_ABOVE_LOWER_EDGE, LIDAR_RANGE, RAYS, WINDOW_SIDE, new_perception
 from athrl_driving.scenarios import SCENARIOS, places_near
 from athrl_driving.traffic.state import new_traffic
@@ -26,7 +26,7 @@ ACTION_KIND_OF_TYPE = {
     "WaypointSetAction": WAYPOINT_SET,
     "DirectAction": DIRECT,
 }
-"""The kind of action (`athrl_spaces.ACTION_KINDS`) by the name that the setting `action` gives it."""
+"""The kind of action (`athrl_spaces.ACTION_KINDS`) by its name in the setting `action`."""
 
 _LIMITS = Limits()
 
@@ -34,6 +34,7 @@ DEFAULTS: dict[str, Any] = {
     "observation": {"type": "BirdEyeObservation"},
     "action": {"type": "WaypointAction"},
     "town": "town03",  # name of a town, or path of an OpenDRIVE file
+    "strict_map": False,  # refuse what OpenDRIVE forbids, also where it could be bridged
     "start": None,  # (road name, lane id, [m] along it); a random place without one
     "destination": None,  # such a place, "random", or random turns without one
     "vehicles_count": 100,  # background vehicles
@@ -54,8 +55,9 @@ DEFAULTS: dict[str, Any] = {
     "centering_position": [0.5, 0.5],
     "scaling": 6.0,
 }
-"""What an environment adds to highway-env's own settings, or has other defaults for."""
+"""Settings that are added to highway-env's own, or have other defaults."""
 
+_OF_THE_TOWN = ("town", "strict_map")
 _PERCEPTION_SETTINGS = ("window_side", "ego_above_lower_edge", "lidar_range", "lidar_rays")
 
 _BOUNDS: dict[str, tuple[type, float, float]] = {
@@ -80,6 +82,7 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
 }
 
 _SWITCHES: dict[str, tuple[bool | None, ...]] = {
+    "strict_map": (False, True),
     "show_trajectories": (False, True),
     "render_agent": (False, True),
     "real_time_rendering": (False, True),
@@ -91,13 +94,13 @@ _WITHOUT_EFFECT = {
     "neighbour_vehicles_connected_lanes": "a town's vehicles see across all lanes that are connected",
     "manual_control": "there are no keys for the actions of a town",
 }
-"""highway-env's settings that a town cannot follow, and why; they stay what they are."""
+"""highway-env's settings that have no effect in a town, and why; they cannot be changed."""
 
 
 def first_settings(defaults: Mapping[str, Any], scenario: str | None) -> dict[str, Any]:
     """The defaults of an environment, or of the case study with the id `scenario`.
 
-    Raises ValueError in one line for a case study that there is not.
+    Raises ValueError in one line for a case study that does not exist.
     """
     if scenario is None:
         return dict(defaults)
@@ -106,25 +109,18 @@ def first_settings(defaults: Mapping[str, Any], scenario: str | None) -> dict[st
     return {**defaults, **SCENARIOS[scenario]}
 
 
-def refuse_arguments(arguments: Mapping[str, Any]) -> None:
-    """Raise TypeError, in one line, if an environment was made with arguments that it does not have."""
-    if arguments:
-        name, value = next(iter(arguments.items()))
-        raise TypeError(
-            f"an environment has no argument {name!r}; a setting is given as config={{{name!r}: {value!r}}}"
-        )
-
-
 def changed_settings(
     present: Mapping[str, Any], changes: Mapping[str, Any] | None, map_name: str | None
 ) -> dict[str, Any]:
     """The present settings with `changes`; `map_name` is the map that the environment was made for, if any.
 
-    Raises ValueError, in one line, for a key that does not exist or a value that cannot be.
+    Raises ValueError, in one line, for a key that does not exist or an invalid value.
     """
     if changes is not None and not isinstance(changes, Mapping):
         raise DrivingError(f"config is {changes!r}, it should be a dict of settings")
     given = dict(changes or {})
+    if "town" in given:
+        given["town"] = as_text(given["town"])
     if map_name == "":
         raise DrivingError("no map was named: give map='PATH.xodr', an OpenDRIVE file, or the name of a town")
     if map_name is not None and given.setdefault("town", map_name) != map_name:
@@ -140,14 +136,14 @@ def changed_settings(
             )
     settings = {**present, **given}
     _check(settings)
-    # highway-env's word for decisions per second; it is no setting, but follows from two that are.
+    # highway-env's name for decisions per second; it is no setting but follows from two settings.
     settings["policy_frequency"] = settings["simulation_frequency"] / settings["ticks_per_decision"]
     _check_policy_frequency(given, settings)
     return settings
 
 
 def _check_policy_frequency(given: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
-    """Refuse a frequency that does not follow; settings that were read from an environment contain it."""
+    """Refuse another frequency; settings that were read from an environment contain the right one."""
     value, follows = given.get("policy_frequency"), settings["policy_frequency"]
     if value is not None and value != follows:
         raise DrivingError(
@@ -178,7 +174,7 @@ def _check(settings: Mapping[str, Any]) -> None:
 
 
 def _check_action(action: Any) -> None:
-    """Refuse an action that is none of the kinds, with the nearest of them."""
+    """Refuse an unknown type of action and suggest the nearest one."""
     name = action.get("type") if isinstance(action, Mapping) else action
     if isinstance(name, str) and name in ACTION_KIND_OF_TYPE and action == {"type": name}:
         return
@@ -199,12 +195,9 @@ def _check_number(key: str, value: Any, kind: type, low: float, high: float) -> 
 
 
 def _check_places(settings: Mapping[str, Any]) -> None:
-    """Check the map and the places on it, as far as that goes without the map."""
-    if not isinstance(settings["town"], (str, os.PathLike)):
-        raise DrivingError(
-            f"the setting town is {settings['town']!r}, "
-            f"it should be one of {', '.join(TOWNS)}, or the path of an OpenDRIVE file (.xodr)"
-        )
+    """Check the map and the places on it, as far as possible without reading the map."""
+    if not isinstance(settings["town"], str):
+        raise DrivingError(f"the setting town is {settings['town']!r}, it should be {TOWN_MAY_BE}")
     for key in ("start", "destination"):
         if settings[key] is not None and not _is_place(settings[key], key == "destination"):
             choice = ', "random"' if key == "destination" else ""
@@ -239,18 +232,24 @@ def _are_numbers(values: Any) -> bool:
 
 
 def action_setting(kind: str) -> dict[str, str]:
-    """The setting `action` for a kind of action; raises ValueError in one line for one that there is not."""
+    """The setting `action` for a kind of action; raises ValueError in one line for an unknown one."""
     action_kind(kind)
     return {"type": next(name for name, known in ACTION_KIND_OF_TYPE.items() if known == kind)}
 
 
-def town_of(config: Mapping[str, Any]) -> Town:
-    """The town that settings name; raises ValueError in one line where there is none or it cannot be read."""
-    return load_town(config["town"])
+def town_of(config: Mapping[str, Any], present_config: Mapping[str, Any], present_town: Town | None) -> Town:
+    """The town that settings name: the present one, if there is one and the present settings name the same.
+
+    So an environment that has come from a process with another working directory keeps its town. Raises
+    ValueError in one line if a town does not exist or cannot be read.
+    """
+    if present_town is not None and all(config[name] == present_config[name] for name in _OF_THE_TOWN):
+        return present_town
+    return load_town(config["town"], strict=config["strict_map"])
 
 
 def drive_settings(config: Mapping[str, Any]) -> DriveSettings:
-    """What the kernel takes from an environment's settings."""
+    """The kernel's settings from an environment's settings."""
     return DriveSettings(
         interval=1.0 / config["simulation_frequency"],
         ticks_per_decision=int(config["ticks_per_decision"]),
@@ -266,15 +265,15 @@ def new_episodes(
     config: Mapping[str, Any],
     town: Town,
     environments: int,
-    crew: Crew | None = None,
-    sight: Sight | None = None,
+    workers: Workers | None = None,
+    observations: ObservationArrays | None = None,
 ) -> Episodes:
-    """Room for the episodes of `environments` environments with these settings.
+    """Allocate the episodes of `environments` environments with these settings.
 
-    The crew drives them, without one the caller's thread. They write what is seen to their rows of `sight`,
-    which has as many; without one they have their own.
+    The workers drive them, or without workers the caller's thread. They write their observations to
+    `observations`, which names as many environments; without it they have arrays of their own.
 
-    Raises ValueError in one line for a place that the map does not have, or without room for the vehicles.
+    Raises ValueError in one line for a place that is not on the map, or where the vehicles do not fit.
     """
     _check_room_near(config, town)
     drive, destination = drive_settings(config), config["destination"]
@@ -282,7 +281,7 @@ def new_episodes(
         town,
         drive,
         new_perception(town, **{name: config[name] for name in _PERCEPTION_SETTINGS}),
-        new_sight(environments, int(config["image_size"]), 0) if sight is None else sight,
+        observations or new_observation_arrays(environments, int(config["image_size"]), 0),
         Journeys(
             town,
             drive.episode_ticks * drive.interval,
@@ -291,16 +290,16 @@ def new_episodes(
         ),
         vehicles=int(config["vehicles_count"]),
         traffic_near=config["traffic_near"],
-        crew=crew,
+        workers=workers,
     )
 
 
 def _check_room_near(config: Mapping[str, Any], town: Town) -> None:
-    """Refuse more vehicles than there are places near the point where they are to start."""
+    """Refuse more vehicles than there are starting places near the given point."""
     near, vehicles = config["traffic_near"], config["vehicles_count"]
     if near is None:
         return
-    places = places_near(new_traffic(town, 1, 0), *near).rails.start_link.size
+    places = places_near(new_traffic(town, 1, 0), *near).lane_links.start_link.size
     if vehicles > places:
         x, y, radius = near
         raise DrivingError(

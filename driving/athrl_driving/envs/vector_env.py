@@ -1,4 +1,4 @@
-"""Many towns at once: a batch of environments that one call steps, on several threads."""
+"""A vector of town environments that one call steps, on several threads."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from athrl_driving.envs.arguments import map_argument, refuse_arguments
+from athrl_driving.envs.env_view import EnvView
 from athrl_driving.envs.observation import observation_space
-from athrl_driving.envs.row import TownRow
+from athrl_driving.envs.reset_options import CONFIG, RESET_MASK, checked_options
 from athrl_driving.envs.settings import (
     changed_settings,
     first_settings,
     new_episodes,
-    refuse_arguments,
     town_of,
 )
+from athrl_driving.envs.spec import PlainSpec
 from athrl_driving.envs.town_env import TownEnv
-from athrl_driving.episode import DECIDE, Crew, Sight
+from athrl_driving.episode import DECIDE, ObservationArrays, Workers
 from athrl_driving.errors import DrivingError
 from athrl_driving.scene import Scene
 
@@ -33,18 +35,25 @@ if TYPE_CHECKING:
 
 Observations = dict[str, NDArray]
 
+_REMADE = frozenset({"_environments", "_action_type", "_viewer", "_observations"})
+"""Attributes that a copy of a vector does not copy."""
 
-class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
+
+class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
     """`num_envs` towns, each of which does exactly what a `TownEnv` with its seed and its actions would do.
 
-    `config`, `map` and `scenario` are those of `TownEnv`; the settings are fixed when it is made. With
-    `render_mode="rgb_array"`, `render` returns a picture of each; there is no window of many. `threads`,
-    from 1 on, is how many work at a step at most, by default as many as the process has cores. Each has at
-    least four environments, as fewer cost more than they bring: the attribute `threads` tells how many work.
-    The results do not depend on it. `autoreset_mode` is gymnasium's: an
-    episode that has ended is reset at the next step (NEXT_STEP), within the same step (SAME_STEP), or when
-    `reset` is called with `options={"reset_mask": bool [num_envs]}` (DISABLED). Vectors of
-    several towns may have memory for what is seen, `sight`, and the threads of a `crew` in common.
+    `config`, `map` and `scenario` are those of `TownEnv`; all environments have the same settings.
+    With `render_mode="rgb_array"`, `render` returns a picture of each; there is no window for several.
+
+    `threads`, 1 or more, is the most threads that work at a step, by default the number of cores of the
+    process. Each has at least four environments, as with fewer it costs more than it gains; the attribute
+    `threads` is the number that work. The results do not depend on it.
+
+    `autoreset_mode` is gymnasium's: an episode that has ended is reset at the next step (NEXT_STEP), within
+    the same step (SAME_STEP), or when `reset` is called with `options={"reset_mask": bool [num_envs]}`
+    (DISABLED).
+
+    Vectors of several towns may share the memory of `observations` and the threads of `workers`.
     """
 
     def __init__(
@@ -52,58 +61,92 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         num_envs: int = 1,
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
-        map: str | None = None,
+        map: str | os.PathLike[str] | None = None,
         scenario: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
-        sight: Sight | None = None,
-        crew: Crew | None = None,
+        observations: ObservationArrays | None = None,
+        workers: Workers | None = None,
         **others: Any,
     ) -> None:
-        refuse_arguments(others)
+        refuse_arguments(others, type(self).__init__, TownEnv.default_config())
         if render_mode not in (None, "rgb_array"):
             raise DrivingError(
                 f"render_mode is {render_mode!r}, it should be None or 'rgb_array': "
                 "many towns have no window in common"
             )
         self.render_mode = render_mode
-        self._viewer: BatchViewer | None = None
         self.num_envs = _whole_number("num_envs", num_envs)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
-        self.config = changed_settings(first_settings(TownEnv.default_config(), scenario), config, map)
+        self._map = map_argument(map)
+        self._observations = observations
+        self._shares_observations = observations is not None
+        if workers is None:
+            workers = Workers(cores() if threads is None else _whole_number("threads", threads))
+        self._workers = workers
+        self._generators: list[np.random.Generator | None] = [None] * num_envs
+        self._adopt(changed_settings(first_settings(TownEnv.default_config(), scenario), config, self._map))
+
+    def _adopt(self, settings: dict[str, Any]) -> None:
+        """Make the episodes and the spaces for new settings; if that is refused nothing has changed."""
+        town = town_of(settings, getattr(self, "config", settings), getattr(self, "town", None))
+        self.episodes = new_episodes(settings, town, self.num_envs, self._workers, self._observations)
+        self.town, self.config = town, settings
         self.metadata = {
             "render_modes": ["rgb_array"],
-            "render_fps": self.config["policy_frequency"],
+            "render_fps": settings["policy_frequency"],
             "autoreset_mode": self.autoreset_mode,
         }
-        self.town = town_of(self.config)
-        if crew is None:
-            crew = Crew(cores() if threads is None else _whole_number("threads", threads))
-        self.episodes = new_episodes(self.config, self.town, num_envs, crew, sight)
-        self.threads = len(self.episodes.chunks)
-        self.single_observation_space = observation_space(self.config["image_size"])
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._rows = [TownRow(self.episodes, e, self.config) for e in range(num_envs)]
-        self._action_type = self._rows[0].action_type
+        self.threads = len(self.episodes.slice_bounds)
+        self.single_observation_space = observation_space(settings["image_size"])
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._show()
         self.single_action_space = self._action_type.space()
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._generators: list[np.random.Generator | None] = [None] * num_envs
-        self._ended = np.zeros(num_envs, np.bool_)
-        self._begun = np.zeros(num_envs, np.bool_)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._ended = np.zeros(self.num_envs, np.bool_)
+        self._begun = np.zeros(self.num_envs, np.bool_)
+
+    def _show(self) -> None:
+        """Make the views of the episodes."""
+        self._environments = [EnvView(self.episodes, e, self.config) for e in range(self.num_envs)]
+        self._action_type = self._environments[0].action_type
+        self._viewer: BatchViewer | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy needs in the same state, in this process or in another; the town by its file.
+
+        A copy has observations and threads of its own. Raises DrivingError while a thread steps.
+        """
+        return {name: value for name, value in self.__dict__.items() if name not in _REMADE}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take the state of another vector, which is independent of this one."""
+        self.__dict__.update(state)
+        # An array that came from memory between processes may be read only.
+        self._ended, self._begun = self._ended.copy(), self._begun.copy()
+        self._observations = self.episodes.state.observations if self._shares_observations else None
+        self._show()
 
     def reset(
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
+        options: Mapping[str, Any] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
         """Begin new episodes in all environments, or in those of `options["reset_mask"]` bool [num_envs].
 
-        With an integer `seed` environment e has `seed + e`; a list has one for each. Without one each goes on
-        with its own random numbers.
+        With an integer `seed` environment e has `seed + e`; a list has one for each. Without a seed each
+        environment continues with its own random numbers.
+
+        `options["config"]` changes settings of all environments before, so all of them have to be reset; what
+        `environment` returned before is then of the past. Raises DrivingError in one line for another option,
+        an unknown setting or an invalid value.
         """
-        mask = self._reset_mask(options)
+        options = checked_options(options, (CONFIG, RESET_MASK))
+        mask = self._reset_mask(options.get(RESET_MASK))
         seeds = self._spread(seed)
+        if options.get(CONFIG) is not None:
+            self._change_settings(options[CONFIG], mask)
         for e in np.flatnonzero(mask).tolist():
             if seeds[e] is not None:
                 self._generators[e] = seeding.np_random(seeds[e])[0]
@@ -115,8 +158,8 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
     ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Make one decision in every environment; `actions` are [num_envs, 2] of `single_action_space`.
 
-        Raises DrivingError for actions that are none, before anything moves, and ResetNeeded where an episode
-        has not begun, or has ended and nothing resets it.
+        Raises DrivingError for invalid actions, before anything moves, and ResetNeeded where an episode
+        has not begun, or has ended and is not reset automatically.
         """
         actions = self._checked(actions)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
@@ -130,61 +173,61 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
             return self._observe(), *results, self._infos()
         return self._reset_within_step(results)
 
-    def step_rows(
-        self, actions: NDArray[np.floating], rows: NDArray[np.bool_]
+    def step_environments(
+        self, actions: NDArray[np.floating], active: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Make one decision in the environments of `rows` bool [num_envs] alone, without any autoreset.
+        """Make one decision in the environments of `active` bool [num_envs] alone, without any autoreset.
 
-        Returns rewards, terminated, truncated and infos of these; the others stand still.
+        Returns rewards, terminated, truncated and infos of these; the others do not move.
         """
-        self.order_rows(actions, rows)
+        self.order_step(actions, active)
         self.episodes.drive()
-        return self.results_of_rows(rows)
+        return self.step_results(active)
 
-    def order_rows(self, actions: NDArray, rows: NDArray[np.bool_]) -> None:
-        """The first half of `step_rows`: a crew that drives the pieces of `episodes` has to follow."""
-        self._order(self._checked(actions), rows)
+    def order_step(self, actions: NDArray, active: NDArray[np.bool_]) -> None:
+        """The first half of `step_environments`: workers have to drive the slices of `episodes` next."""
+        self._order(self._checked(actions), active)
 
-    def results_of_rows(
-        self, rows: NDArray[np.bool_]
+    def step_results(
+        self, active: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """The second half of `step_rows`."""
+        """The second half of `step_environments`."""
         self._note_ends()
         rewards, terminated, truncated = self._results()
-        return rewards * rows, terminated & rows, truncated & rows, self._infos(rows)
+        return rewards * active, terminated & active, truncated & active, self._infos(active)
 
-    def reset_row(self, e: int, seed: int | None = None) -> None:
-        """Begin a new episode in environment `e` alone."""
+    def reset_environment(self, env_index: int, seed: int | None = None) -> None:
+        """Begin a new episode in environment `env_index` alone."""
         if seed is not None:
-            self._generators[e] = seeding.np_random(seed)[0]
-        self._begin(np.arange(self.num_envs) == e)
+            self._generators[env_index] = seeding.np_random(seed)[0]
+        self._begin(np.arange(self.num_envs) == env_index)
 
     @property
     def images(self) -> NDArray[np.uint8]:
-        """uint8 [num_envs, S, S, channels]: what was last seen; it changes with every step."""
-        return self.episodes.state.sight.images
+        """uint8 [num_envs, S, S, channels] the last observation; it changes with every step."""
+        return self.episodes.state.observations.images
 
     @property
     def motion(self) -> NDArray[np.float32]:
-        """float32 [num_envs, 2] that goes with `images`."""
-        return self.episodes.state.sight.motion
+        """float32 [num_envs, 2] that belongs to `images`."""
+        return self.episodes.state.observations.motion
 
-    def row(self, e: int) -> TownRow:
-        """Environment `e` as an object, for drivers and viewers."""
-        return self._rows[e]
+    def environment(self, env_index: int) -> EnvView:
+        """Environment `env_index` as an object, for drivers and viewers."""
+        return self._environments[env_index]
 
-    def scene(self, e: int) -> Scene:
-        """The present moment of environment `e`."""
-        return self._rows[e].scene()
+    def scene(self, env_index: int) -> Scene:
+        """The present moment of environment `env_index`."""
+        return self._environments[env_index].scene()
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Pictures of all environments, uint8 [height, width, 3] each; None with `render_mode=None`."""
         if self.render_mode is None:
             return None
         if self._viewer is None:
-            from athrl_driving.envs.viewer import BatchViewer  # for nobody who renders nothing
+            from athrl_driving.envs.viewer import BatchViewer  # only needed for rendering
 
-            self._viewer = BatchViewer(self._rows)
+            self._viewer = BatchViewer(self._environments)
         return self._viewer.images()
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -201,7 +244,7 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         return self._observe(), *self._results(), self._infos()
 
     def _reset_within_step(self, results: tuple) -> tuple:
-        """Reset where the step ended an episode; what was last seen there goes into the infos."""
+        """Reset where the step ended an episode; the final observation goes into the infos."""
         ended = self._ended.copy()
         final_infos = self._infos(ended)
         final = np.full(self.num_envs, None, dtype=object)
@@ -218,27 +261,28 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         }
         return self._observe(), *results, infos
 
-    def _drive(self, actions: NDArray[np.float32], rows: NDArray[np.bool_]) -> None:
-        self._order(actions, rows)
+    def _drive(self, actions: NDArray[np.float32], active: NDArray[np.bool_]) -> None:
+        self._order(actions, active)
         self.episodes.drive()
         self._note_ends()
 
-    def _order(self, actions: NDArray[np.float32], rows: NDArray[np.bool_]) -> None:
+    def _order(self, actions: NDArray[np.float32], active: NDArray[np.bool_]) -> None:
         if not self._begun.all():
-            missing = np.flatnonzero(rows & ~self._begun).tolist()
+            missing = np.flatnonzero(active & ~self._begun).tolist()
             if missing:
                 raise ResetNeeded(f"no episode has begun in environments {missing}: call reset before step")
-        self.episodes.order(rows * DECIDE, actions)
+        self.episodes.order(active * DECIDE, actions)
 
     def _note_ends(self) -> None:
         state = self.episodes.state.progress
         np.logical_or(state.terminated, state.truncated, out=self._ended)
 
-    def _begin(self, rows: NDArray[np.bool_]) -> None:
-        chosen = np.flatnonzero(rows)
-        self.episodes.begin(chosen, [self._generator(e) for e in chosen.tolist()])
-        self._begun[rows] = True
-        self._ended[rows] = False
+    def _begin(self, chosen: NDArray[np.bool_]) -> None:
+        env_indices = np.flatnonzero(chosen)
+        generators = [self._generator(e) for e in env_indices.tolist()]
+        self.episodes.begin(env_indices, generators)
+        self._begun[chosen] = True
+        self._ended[chosen] = False
 
     def _observe(self) -> Observations:
         return {"image": self.images.copy(), "motion": self.motion.copy()}
@@ -247,19 +291,32 @@ class TownVectorEnv(VectorEnv[Observations, NDArray, NDArray]):
         state = self.episodes.state.progress
         return state.reward.copy(), state.terminated.copy(), state.truncated.copy()
 
-    def _infos(self, rows: NDArray[np.bool_] | None = None) -> dict[str, Any]:
-        """The infos of `rows`, with the metrics of those whose episodes have ended."""
-        rows = np.ones(self.num_envs, np.bool_) if rows is None else rows
-        infos = self.episodes.infos(rows)
-        for e in np.flatnonzero(rows & self._ended).tolist():
+    def _infos(self, chosen: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+        """The infos of the `chosen` environments, bool [num_envs], with metrics where episodes have ended."""
+        chosen = np.ones(self.num_envs, np.bool_) if chosen is None else chosen
+        infos = self.episodes.infos(chosen)
+        for e in np.flatnonzero(chosen & self._ended).tolist():
             infos = self._add_info(infos, {"metrics": self.episodes.summary(e)}, e)
         return infos
 
     def _checked(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
         return self._action_type.checked(actions, (self.num_envs, 2))
 
-    def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        mask = (options or {}).get("reset_mask")
+    def _change_settings(self, changes: Mapping[str, Any], mask: NDArray[np.bool_]) -> None:
+        if not mask.all():
+            raise DrivingError(
+                "config and reset_mask are given, but all environments have the same settings: "
+                "reset all of them to change some"
+            )
+        settings = changed_settings(self.config, changes, self._map)
+        if self._observations is not None and settings["image_size"] != self.config["image_size"]:
+            raise DrivingError(
+                f"the setting image_size is {settings['image_size']!r}, it should stay "
+                f"{self.config['image_size']!r}: the vector shares the memory of its images"
+            )
+        self._adopt(settings)
+
+    def _reset_mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):

@@ -1,6 +1,6 @@
 """What `render` shows: the town with its junctions, the traffic, the ego, its route and its waypoints.
 
-highway-env's viewer has the window, its keys and the vehicles; the ground and the route are drawn here.
+highway-env's viewer provides the window, its keys and the vehicles; the ground and the route are drawn here.
 Only `render` imports this module.
 """
 
@@ -27,14 +27,14 @@ ROUTE = (90, 230, 170)
 WAYPOINT = (240, 110, 20)
 TRAIL = (235, 235, 235)
 TRAIL_SECONDS = 2.0
-"""For how long it is seen where everybody was, with the setting `show_trajectories`."""
+"""For how long past positions are shown with the setting `show_trajectories`, s."""
 
 _POINTS_BETWEEN = 5  # of the route's line, between two waypoints
 _LINE_WIDTH, _DOT, _WAYPOINT_DOT, _TRAIL_DOT = 0.4, 0.6, 0.9, 0.25  # m
 
 
 class Rendered(Protocol):
-    """What is drawn: a `TownEnv`, or one row of a batch."""
+    """What is drawn: a `TownEnv`, or one environment of a batch."""
 
     config: Mapping[str, Any]
 
@@ -55,22 +55,22 @@ class Rendered(Protocol):
 
 
 class TownPicture:
-    """Draws moments of a town onto a surface of highway-env."""
+    """Draws scenes of a town onto a surface of highway-env."""
 
     def __init__(self, town: Town) -> None:
         self._ground = Ground(town)
         self._trails: dict[int, list[Scene]] = {}
 
     def draw(self, env: Rendered, surface: WorldSurface, offscreen: bool) -> None:
-        """Draw the present moment where the surface looks, from the lowest level up."""
+        """Draw the visible part of the present scene, from the lowest level up."""
         road, ego = env.road, env.vehicle
         surface.fill(MEADOW)
-        rows = self._ground.visible(surface)
-        lane_levels = self._ground.levels[rows]
+        lanes = self._ground.visible(surface)
+        lane_levels = self._ground.levels[lanes]
         vehicles = [ego, *road.vehicles[1:]]
         vehicle_levels = level_of(np.append(ego.elevation, road.background.elevation))
         for level in sorted({*lane_levels.tolist(), *vehicle_levels.tolist()}):
-            self._ground.draw(surface, rows[lane_levels == level])
+            self._ground.draw(surface, lanes[lane_levels == level])
             if level == vehicle_levels[0]:
                 if env.config["show_trajectories"]:
                     self._draw_trails(env.scene(), road.environment, surface)
@@ -81,7 +81,7 @@ class TownPicture:
         _draw_waypoint(ego, surface)
 
     def _draw_trails(self, scene: Scene, environment: int, surface: WorldSurface) -> None:
-        """Draw where everybody was at the moments that were drawn before."""
+        """Draw where all vehicles were at the moments that were drawn before."""
         earlier = [
             moment
             for moment in self._trails.get(environment, [])
@@ -95,17 +95,17 @@ class TownPicture:
 
 
 class TownViewer(EnvViewer):
-    """highway-env's viewer of an environment, with pictures of towns in it."""
+    """highway-env's viewer of an environment, which shows pictures of towns."""
 
     def __init__(self, env: Rendered, offscreen: bool) -> None:
         super().__init__(env, {**env.config, "offscreen_rendering": offscreen})
         pygame.display.set_caption("athrl")
         if offscreen:
-            self.enabled = True  # where SDL has no screen highway-env leaves all black, but this needs none
+            self.enabled = True  # without a screen highway-env draws nothing, but none is needed here
         self._picture = TownPicture(env.road.town)
 
     def display(self) -> None:
-        """Draw the present moment, and show it where there is a window."""
+        """Draw the present moment, and show it if there is a window."""
         if not self.enabled:
             return
         self.sim_surface.move_display_window_to(self.window_position())
@@ -121,22 +121,22 @@ class TownViewer(EnvViewer):
 class BatchViewer:
     """Pictures of the environments of a batch, one after the other on one surface."""
 
-    def __init__(self, rows: Sequence[Rendered]) -> None:
-        self._rows = rows
-        self._viewer = TownViewer(rows[0], offscreen=True)
+    def __init__(self, environments: Sequence[Rendered]) -> None:
+        self._environments = environments
+        self._viewer = TownViewer(environments[0], offscreen=True)
 
     def images(self) -> tuple[NDArray[np.uint8], ...]:
         """The present moment of each environment, uint8 [height, width, 3]."""
-        return tuple(self._image(row) for row in self._rows)
+        return tuple(self._image(each) for each in self._environments)
 
-    def _image(self, row: Rendered) -> NDArray[np.uint8]:
-        self._viewer.env = row
+    def _image(self, environment: Rendered) -> NDArray[np.uint8]:
+        self._viewer.env = environment
         self._viewer.display()
         return self._viewer.get_image()
 
 
 def _draw_route(route: Route, surface: WorldSurface) -> None:
-    """Draw the route from the ego to the last waypoint that it sees, and these."""
+    """Draw the route from the ego to the last known waypoint, and these waypoints."""
     waypoints = route.waypoints()[:, :2]
     end = WAYPOINT_SPACING * (np.floor(route.position / WAYPOINT_SPACING) + WAYPOINTS_KNOWN)
     ahead = np.linspace(route.position, end, 1 + WAYPOINTS_KNOWN * _POINTS_BETWEEN)
@@ -147,7 +147,7 @@ def _draw_route(route: Route, surface: WorldSurface) -> None:
 
 
 def _draw_waypoint(ego: EgoVehicle, surface: WorldSurface) -> None:
-    """Draw the point that the ego drives to by its last decision, and the way there, if there is one."""
+    """Draw the waypoint of the last decision, if there is one, and a line to it."""
     if ego.waypoint is None:
         return
     place, waypoint = surface.vec2pix(ego.position), surface.vec2pix(ego.waypoint)

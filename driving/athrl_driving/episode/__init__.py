@@ -1,22 +1,22 @@
-"""One decision of an episode as one compiled call: state, kernel, and the Python that begins episodes."""
+"""One decision of an episode as one compiled call: state, kernel, and how episodes begin."""
 
-from athrl_driving.episode.crew import Crew
 from athrl_driving.episode.episodes import Episodes
-from athrl_driving.episode.orders import BEGIN, DECIDE, DRIVE, SEE, TAKE, TICK
-from athrl_driving.episode.sight import Sight, new_sight
+from athrl_driving.episode.observation_arrays import ObservationArrays, new_observation_arrays
 from athrl_driving.episode.state import DriveSettings, EpisodeState
+from athrl_driving.episode.work_flags import BEGIN, DECIDE, DRIVE, OBSERVE, SET_ACTION, TICK
+from athrl_driving.episode.workers import Workers
 
 __all__ = [
     "BEGIN",
     "DECIDE",
     "DRIVE",
-    "SEE",
-    "TAKE",
+    "OBSERVE",
+    "SET_ACTION",
     "TICK",
-    "Crew",
     "DriveSettings",
     "EpisodeState",
     "Episodes",
-    "Sight",
-    "new_sight",
+    "ObservationArrays",
+    "Workers",
+    "new_observation_arrays",
 ]

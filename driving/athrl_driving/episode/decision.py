@@ -1,4 +1,4 @@
-"""What an action makes the ego do until the next one, compiled: one function for each kind of action."""
+"""How an action sets the ego's targets or commands, compiled: one function for each kind of action."""
 
 import math
 
@@ -7,21 +7,19 @@ from athrl_spaces import ACTION_KINDS, DIRECT, WAYPOINT_SET
 from athrl_spaces.action_kinds import BEHAVIOURS, DIRECTIONS, RADII, waypoint_directions
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled, part
 from athrl_driving.control import MAXIMUM_ACCELERATION, MAXIMUM_STEERING, WHEEL_ANGLE_PER_STEERING
 from athrl_driving.episode.ego import (
     ACCELERATION,
-    HEADING,
     STEERING,
     TARGET_SPEED,
     WAYPOINT_X,
     WAYPOINT_Y,
     WHEEL_ANGLE,
-    X,
-    Y,
 )
 from athrl_driving.episode.state import DriveSettings
+from athrl_driving.kernels.compilation import compiled, part
 from athrl_driving.maps.lane_graph import Floats
+from athrl_driving.traffic.ego_columns import HEADING, X, Y
 
 KIND_NUMBERS = {kind: number for number, kind in enumerate(ACTION_KINDS)}
 """Number of each kind of action in `DriveSettings`."""
@@ -34,13 +32,13 @@ _ANGLE_SHARES = waypoint_directions(1.0)
 
 @compiled
 def take_decision(settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[np.float32]) -> None:
-    """Let Python call `take`."""
+    """Entry point for Python of `take`."""
     take(settings, ego, control, action)
 
 
 @part
 def take(settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[np.float32]) -> None:
-    """Take an action, float32 [2] of the settings' kind: normalised (clipped to [-1, 1]), or choices."""
+    """Apply an action, float32 [2] of the settings' kind: normalised (clipped to [-1, 1]), or choices."""
     if settings.action_kind == _DIRECT:
         _command(control, action)
     elif settings.action_kind == _WAYPOINT_SET:
@@ -53,7 +51,7 @@ def take(settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[
 
 @part
 def forget_aim(settings: DriveSettings, control: Floats) -> None:
-    """Leave no target where commands are given directly."""
+    """Clear the target where commands are given directly."""
     if settings.action_kind == _DIRECT:
         control[TARGET_SPEED] = control[WAYPOINT_X] = control[WAYPOINT_Y] = math.nan
 
@@ -62,7 +60,7 @@ def forget_aim(settings: DriveSettings, control: Floats) -> None:
 def _aim(
     settings: DriveSettings, ego: Floats, control: Floats, speed: float, angle: float, radius: float
 ) -> None:
-    """Set a target speed, and a waypoint in the world, each a share of the largest."""
+    """Set a target speed and a waypoint in the world, each given as a share of the maximum."""
     control[TARGET_SPEED] = speed * settings.maximum_speed
     direction = ego[HEADING] + angle * settings.waypoint_half_angle
     distance = radius * settings.waypoint_radius
@@ -74,7 +72,7 @@ def _aim(
 def _choose_waypoint(
     settings: DriveSettings, ego: Floats, control: Floats, action: NDArray[np.float32]
 ) -> None:
-    """Take a behaviour and one of the waypoints of the set."""
+    """Apply a behaviour and one of the waypoints of the set."""
     behaviour, waypoint = int(action[0]), int(action[1])
     radius, angle = _RADIUS_SHARES[waypoint // DIRECTIONS], _ANGLE_SHARES[waypoint % DIRECTIONS]
     _aim(settings, ego, control, _SPEED_SHARES[behaviour], angle, radius)
@@ -82,7 +80,7 @@ def _choose_waypoint(
 
 @part
 def _command(control: Floats, action: NDArray[np.float32]) -> None:
-    """Take an acceleration and a steering command, which hold; there is no target for controllers."""
+    """Set acceleration and steering until the next decision; the controllers have no target."""
     control[TARGET_SPEED] = control[WAYPOINT_X] = control[WAYPOINT_Y] = math.nan
     control[ACCELERATION] = min(max(float(action[0]), -1.0), 1.0) * MAXIMUM_ACCELERATION
     control[STEERING] = min(max(float(action[1]), -1.0), 1.0) * MAXIMUM_STEERING

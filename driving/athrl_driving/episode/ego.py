@@ -1,17 +1,15 @@
 """The ego as numbers: its controllers and its bicycle model, compiled.
 
-The motion is that of highway-env's `Vehicle`, save that the axles lie where such a car has them and not at
-its bumpers, and that brakes stop the car and do not push it backwards.
+The motion is that of highway-env's `Vehicle` with two differences: the axles are where such a car has them
+and not at its bumpers, and brakes stop the car and do not push it backwards.
 """
 
 import math
 
-from athrl_driving.compilation import compiled
 from athrl_driving.control import WHEEL_ANGLE_PER_STEERING, acceleration_command, steering_command
+from athrl_driving.kernels.compilation import compiled
 from athrl_driving.maps.lane_graph import Floats
-
-X, Y, HEADING, SPEED, LENGTH, WIDTH, ELEVATION, PRESENT, EGO_SIZE = range(9)
-"""Places in `ego`, float64 [8]: m, m, rad, m/s, m, m, m, and 1.0 where there is an ego."""
+from athrl_driving.traffic.ego_columns import ELEVATION, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 
 (
     TARGET_SPEED,
@@ -39,7 +37,7 @@ LARGEST_SPEED = 40.0
 
 @compiled
 def place_ego(ego: Floats, control: Floats, x: float, y: float, heading: float, elevation: float) -> None:
-    """Put the ego somewhere, standing, with controllers that have seen nothing."""
+    """Place the ego, standing, with cleared controllers."""
     ego[X], ego[Y], ego[HEADING], ego[SPEED] = x, y, heading, 0.0
     ego[LENGTH], ego[WIDTH], ego[ELEVATION], ego[PRESENT] = EGO_LENGTH, EGO_WIDTH, elevation, 1.0
     control[:] = 0.0

@@ -1,13 +1,14 @@
-"""What the ego feels of its own motion, the observation beside the image, compiled."""
+"""The observation of the ego's own motion, which accompanies the image, compiled."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import part
 from athrl_driving.control import MAXIMUM_STEERING
-from athrl_driving.episode.ego import SPEED, STEERING
+from athrl_driving.episode.ego import STEERING
+from athrl_driving.kernels.compilation import part
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.reward import FAST_SPEED
+from athrl_driving.traffic.ego_columns import SPEED
 
 MOTION_LIMIT = 2.0
 """Bound of both entries of `motion`."""

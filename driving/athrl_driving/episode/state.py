@@ -1,6 +1,6 @@
 """The state of E episodes that run side by side, as arrays with a leading environment axis.
 
-Observations, rewards and what `info` tells are part of it: the kernel writes them where Python reads them.
+Observations, rewards and the values of `info` are part of it: the kernel writes them where Python reads them.
 """
 
 from __future__ import annotations
@@ -10,18 +10,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.episode.ego import CONTROL_SIZE, EGO_SIZE
-from athrl_driving.episode.sight import Sight
+from athrl_driving.episode.ego import CONTROL_SIZE
+from athrl_driving.episode.observation_arrays import ObservationArrays
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.metrics import MetricsState, new_metrics
 from athrl_driving.perception import Perception
 from athrl_driving.reward import REWARD_TERMS
 from athrl_driving.route import LANES_AHEAD, RouteState, new_routes
+from athrl_driving.traffic.ego_columns import EGO_SIZE
 from athrl_driving.traffic.state import Traffic, new_traffic
 
 OBSTACLES = 8
-"""Things on the road that an episode has room for."""
+"""The most obstacles on the road of an episode."""
 
 
 class DriveSettings(NamedTuple):
@@ -43,16 +44,16 @@ class DriveSettings(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Where the ego of each episode is, how far it has come, and what its last decision brought."""
+    """Position and progress of the ego of each episode, and the results of its last decision."""
 
     ego: Floats
-    """[E, 8] as `episode.ego` has it."""
+    """[E, 8] columns as in `traffic.ego_columns`."""
     control: Floats
-    """[E, 10] as `episode.ego` has it."""
+    """[E, 10] columns as in `episode.ego`."""
     path: Integers
-    """[E, LANES_AHEAD] rows of the lane graph that the ego will drive, its present one first, then -1."""
+    """[E, LANES_AHEAD] lanes that the ego will drive, its present one first, then -1."""
     obstacles: Floats
-    """[E, OBSTACLES, 5] x, y (m), heading (rad), length, width (m) of things that stand about."""
+    """[E, OBSTACLES, 5] x, y (m), heading (rad), length, width (m) of standing obstacles."""
     obstacle_count: Integers
     """[E]"""
     collision: Integers
@@ -61,6 +62,8 @@ class Progress(NamedTuple):
     """[E] the lane has been left."""
     arrived: NDArray[np.bool_]
     """[E] the destination has been reached."""
+    route_end: NDArray[np.bool_]
+    """[E] the route's end has been reached: no lane follows, as at the map's edge."""
     terminated: NDArray[np.bool_]
     """[E]"""
     truncated: NDArray[np.bool_]
@@ -84,7 +87,7 @@ class Progress(NamedTuple):
 
 
 class EpisodeState(NamedTuple):
-    """Everything that a decision reads and writes; kernels take its parts, for a wide tuple costs much."""
+    """Everything that a decision reads and writes; kernels take its parts, as a wide tuple is costly."""
 
     settings: DriveSettings
     traffic: Traffic
@@ -92,7 +95,7 @@ class EpisodeState(NamedTuple):
     metrics: MetricsState
     perception: Perception
     progress: Progress
-    sight: Sight
+    observations: ObservationArrays
 
 
 class Views(NamedTuple):
@@ -107,11 +110,11 @@ def new_state(
     town: Town,
     settings: DriveSettings,
     perception: Perception,
-    sight: Sight,
+    observations: ObservationArrays,
     vehicles: int,
 ) -> EpisodeState:
-    """Make room for an episode in each row of `sight`, with so many background vehicles; none has begun."""
-    environments = sight.rows.size
+    """Allocate an episode for each environment of `observations`, with so many vehicles; none has begun."""
+    environments = observations.env_index.size
     return EpisodeState(
         settings=settings,
         traffic=new_traffic(town, environments, vehicles),
@@ -119,7 +122,7 @@ def new_state(
         metrics=new_metrics(environments),
         perception=perception,
         progress=_new_progress(environments, perception.ray_cosine.size),
-        sight=sight,
+        observations=observations,
     )
 
 
@@ -133,6 +136,7 @@ def _new_progress(count: int, rays: int) -> Progress:
         collision=np.zeros(count, np.int64),
         off_lane=np.zeros(count, np.bool_),
         arrived=np.zeros(count, np.bool_),
+        route_end=np.zeros(count, np.bool_),
         terminated=np.zeros(count, np.bool_),
         truncated=np.zeros(count, np.bool_),
         ticks=np.zeros(count, np.int64),

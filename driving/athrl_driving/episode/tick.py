@@ -1,23 +1,21 @@
 """One tick of an episode, compiled."""
 
-from athrl_driving.compilation import part
-from athrl_driving.episode.ego import (
-    EGO_WHEELBASE,
-    ELEVATION,
-    HEADING,
-    SPEED,
-    STEERING,
-    X,
-    Y,
-    control_ego,
-    move_ego,
-)
-from athrl_driving.episode.hazard import collide, time_to_collision
+from athrl_driving.episode.collision_checks import collide, time_to_collision
+from athrl_driving.episode.ego import EGO_WHEELBASE, STEERING, control_ego, move_ego
 from athrl_driving.episode.state import DriveSettings, Progress, Views
+from athrl_driving.kernels.compilation import part
 from athrl_driving.maps.geometry import lane_elevation, lane_project
-from athrl_driving.metrics import NO_COLLISION, note_tick
+from athrl_driving.metrics import NO_COLLISION, TickRecord, note_tick
 from athrl_driving.reward import add_reward_terms, has_left_lane
-from athrl_driving.route import RouteState, follow, has_arrived, heading_of_nearest_waypoint, lanes_ahead
+from athrl_driving.route import (
+    RouteState,
+    follow,
+    has_arrived,
+    has_ended,
+    heading_of_nearest_waypoint,
+    lanes_ahead,
+)
+from athrl_driving.traffic.ego_columns import ELEVATION, HEADING, SPEED, X, Y
 from athrl_driving.traffic.signals import red_light
 from athrl_driving.traffic.tick import _advance as advance
 
@@ -33,7 +31,9 @@ def tick(views: Views, settings: DriveSettings, progress: Progress, e: int) -> N
     position = route.position[0]
     control_ego(ego, control, interval)
     advance(traffic, ego, path, interval)
-    line, ahead = traffic.right_of_way.line_distance[-1], traffic.right_of_way.ahead[-1]
+    vehicles = traffic.background.x.shape[0]  # the ego comes after them
+    line = float(traffic.right_of_way.line_distance[vehicles])
+    ahead = int(traffic.right_of_way.ahead[vehicles])
     move_ego(ego, control, progress.collision[e] != NO_COLLISION, EGO_WHEELBASE, interval)
     follow(graph, route, ego[X], ego[Y])
     lanes_ahead(graph, route, path)
@@ -43,16 +43,17 @@ def tick(views: Views, settings: DriveSettings, progress: Progress, e: int) -> N
         progress.collision[e] = touched
     _count_tick(settings, progress, e, route)
     driven = route.position[0] - position
-    note_tick(
-        views.metrics, ego[SPEED], ego[HEADING], driven, route.lateral[0],
+    record = TickRecord(
+        ego[SPEED], ego[HEADING], driven, route.lateral[0],
         time_to_collision(traffic.background, ego), 0.0 <= line < driven and red_light(traffic, ahead),
-        touched, progress.off_lane[e], progress.arrived[e], interval,
+        touched, progress.off_lane[e], progress.arrived[e] or progress.route_end[e], interval,
     )  # fmt: skip
+    note_tick(views.metrics, record)
 
 
 @part
 def _count_tick(settings: DriveSettings, progress: Progress, e: int, route: RouteState) -> None:
-    """Add the tick to the decision's and the episode's sums and see whether the episode has ended."""
+    """Add the tick to the sums of the decision and the episode, and check whether the episode has ended."""
     ego, terms = progress.ego[e], progress.terms[e]
     collided, lateral = progress.collision[e] != NO_COLLISION, route.lateral[0]
     error = ego[HEADING] - heading_of_nearest_waypoint(route)
@@ -70,4 +71,7 @@ def _count_tick(settings: DriveSettings, progress: Progress, e: int, route: Rout
     progress.off_lane[e], progress.arrived[e] = left, arrived
     ended = collided or left or arrived
     progress.terminated[e] = ended
-    progress.truncated[e] = not ended and progress.ticks[e] >= settings.episode_ticks
+    # Beyond the map's edge the drive would go on: that is where the map ends, not the task.
+    progress.route_end[e] = not ended and has_ended(route)
+    time_is_up = progress.ticks[e] >= settings.episode_ticks
+    progress.truncated[e] = progress.route_end[e] or (not ended and time_is_up)

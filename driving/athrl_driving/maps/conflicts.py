@@ -1,9 +1,9 @@
-"""Which ways through junctions get in each other's way, from their geometry.
+"""Which movements through junctions conflict with each other, from their geometry.
 
 Two vehicles whose centre lines come closer than `CLEARANCE` cannot pass each other, unless one road is above
-the other. Ways that start from the same lane are no conflict: their vehicles follow each other until the ways
-have parted. Ways that lead to the same lane are. Everything is found from points sampled along the pieces,
-hashed into cells; so it takes the same time however the junctions are joined.
+the other. Movements that start from the same lane do not conflict: their vehicles follow each other until the
+movements have diverged. Movements that lead to the same lane do conflict. Everything is found from points
+sampled along the segments and hashed into cells, so the time does not depend on how the junctions are joined.
 """
 
 from dataclasses import dataclass
@@ -11,18 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.maps.opendrive.strips import LanePiece
-from athrl_driving.maps.stretches import Way
-
-CLEARANCE = 3.0
-"""Metres between two centre lines: a vehicle's width, what its corners sweep in a turn, and a margin."""
-
-LEVEL_HEIGHT = 3.0
-"""Metres of height between two roads of which one passes over the other."""
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
+from athrl_driving.maps.opendrive.bounds import MOST_CLOSE_MOVEMENTS, MOST_CLOSE_POINTS, MOST_POINTS
+from athrl_driving.maps.opendrive.carriageways import LaneSegment
+from athrl_driving.maps.overlaps import CLEARANCE, SHARE_OF_WIDTH
+from athrl_driving.maps.standing_segments import Movement
 
 _SPACING = 0.5
-_SHARE_OF_WIDTH = 0.43
-"""Of two lanes' widths together: on narrow lanes vehicles keep a smaller distance than `CLEARANCE`."""
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -30,10 +25,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Relations:
-    """Ordered pairs of ways, sorted by (first, second), with a distance in metres.
+    """Ordered pairs of movements, sorted by (first, second), with a distance in metres.
 
-    Of conflicts: how far along the second a vehicle's rear must be to be out of the first's way. Of siblings
-    (the same origin): over which distance from the origin the two share the road.
+    For conflicts: how far along the second a vehicle's rear must be to be out of the way of the first. For
+    siblings (the same origin): over which distance from the origin the two share the road.
     """
 
     conflicts: Integers
@@ -48,50 +43,51 @@ class Relations:
 
 @dataclass(frozen=True, slots=True)
 class _Points:
-    """Points along pieces; `piece` is the piece's number, `s` metres along it."""
+    """Points along segments; `segment` is the number of the segment, `s` is metres along it."""
 
     x: Floats
     y: Floats
     height: Floats
     reach: Floats
-    piece: Integers
+    segment: Integers
     s: Floats
 
 
-def relations_of(ways: list[Way]) -> Relations:
-    """Return who meets whom."""
-    pieces = list(dict.fromkeys(piece for way in ways for piece in way.pieces))
-    if not pieces:
+def relations_of(movements: list[Movement]) -> Relations:
+    """Return which movements conflict and which share their origin. Raises `ValueError`: too many."""
+    segments = list(dict.fromkeys(segment for movement in movements for segment in movement.segments))
+    if not segments:
         none = np.empty((0, 2), dtype=np.int64)
         return Relations(none, np.empty(0), none, np.empty(0))
-    number = {piece: place for place, piece in enumerate(pieces)}
-    first, second, last = _last_meetings(_sampled(pieces), len(pieces))
-    # Every piece of every way: which way, which piece, where on the way it starts, sorted by piece.
-    way_of = np.repeat(np.arange(len(ways)), [len(way.pieces) for way in ways])
-    piece_of = np.array([number[piece] for way in ways for piece in way.pieces])
-    offset_of = np.concatenate([_offsets(way) for way in ways])
-    order = np.argsort(piece_of, kind="stable")
-    way_of, piece_of, offset_of = way_of[order], piece_of[order], offset_of[order]
-    starts = np.searchsorted(piece_of, np.arange(len(pieces) + 1))
-    # All pairs (way over `first`, way over `second`) for each meeting.
+    number = {segment: place for place, segment in enumerate(segments)}
+    first, second, last = _last_close_points(_sampled(segments), len(segments))
+    # Every segment of every movement: its movement, its number and its offset on the movement, by segment.
+    movement_of = np.repeat(np.arange(len(movements)), [len(movement.segments) for movement in movements])
+    segment_of = np.array([number[segment] for movement in movements for segment in movement.segments])
+    offset_of = np.concatenate([_offsets(movement) for movement in movements])
+    order = np.argsort(segment_of, kind="stable")
+    movement_of, segment_of, offset_of = movement_of[order], segment_of[order], offset_of[order]
+    starts = np.searchsorted(segment_of, np.arange(len(segments) + 1))
+    # All pairs (movement over `first`, movement over `second`) for each pair of close segments.
     uses = np.diff(starts)
     repeats = uses[first] * uses[second]
-    meeting = np.repeat(np.arange(len(first)), repeats)
+    _refuse_many(int(repeats.sum()), MOST_CLOSE_MOVEMENTS, "pairs of movements come close to each other")
+    pair = np.repeat(np.arange(len(first)), repeats)
     within = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
-    use_a = starts[first[meeting]] + within // uses[second[meeting]]
-    use_b = starts[second[meeting]] + within % uses[second[meeting]]
-    key = way_of[use_b] * len(ways) + way_of[use_a]
-    along = offset_of[use_a] + last[meeting]
-    return _relations(ways, *_greatest(key, along))
+    use_a = starts[first[pair]] + within // uses[second[pair]]
+    use_b = starts[second[pair]] + within % uses[second[pair]]
+    key = movement_of[use_b] * len(movements) + movement_of[use_a]
+    along = offset_of[use_a] + last[pair]
+    return _relations(movements, *_greatest(key, along))
 
 
-def _relations(ways: list[Way], key: Integers, along: Floats) -> Relations:
-    """Sort pairs (way, conflict) with the last place on the conflict into conflicts and siblings."""
-    count = len(ways)
-    numbers: dict[LanePiece, int] = {}
-    origin = np.array([numbers.setdefault(way.origin, len(numbers)) for way in ways])
-    exits = np.array([numbers.setdefault(way.exit, len(numbers)) for way in ways])
-    length = np.array([way.length for way in ways])
+def _relations(movements: list[Movement], key: Integers, along: Floats) -> Relations:
+    """Sort pairs (movement, conflict) with the last place on the conflict into conflicts and siblings."""
+    count = len(movements)
+    numbers: dict[LaneSegment, int] = {}
+    origin = np.array([numbers.setdefault(movement.origin, len(numbers)) for movement in movements])
+    exits = np.array([numbers.setdefault(movement.exit, len(numbers)) for movement in movements])
+    length = np.array([movement.length for movement in movements])
     first, second = key // count, key % count
     other = first != second
     first, second, along = first[other], second[other], along[other]
@@ -99,7 +95,7 @@ def _relations(ways: list[Way], key: Integers, along: Floats) -> Relations:
     same_exit = exits[first] == exits[second]
     same_origin = origin[first] == origin[second]
     release = np.where(same_exit, length[second], along)
-    # Of siblings the distance is along the first of the two: look the pair up the other way round.
+    # Of siblings the distance is along the first of the two: look the pair up in reverse order.
     back = {(a, b): s for a, b, s in zip(second.tolist(), first.tolist(), along.tolist(), strict=True)}
     siblings = np.stack([first[same_origin], second[same_origin]], axis=1)
     shared = np.array([back[a, b] for a, b in siblings.tolist()], dtype=np.float64)
@@ -107,20 +103,21 @@ def _relations(ways: list[Way], key: Integers, along: Floats) -> Relations:
     return Relations(conflicts, release[~same_origin], siblings, shared)
 
 
-def _offsets(way: Way) -> Floats:
-    lengths = [piece.length for piece in way.pieces]
+def _offsets(movement: Movement) -> Floats:
+    lengths = [segment.length for segment in movement.segments]
     return np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
 
 
-def _sampled(pieces: list[LanePiece]) -> _Points:
-    length = np.array([piece.length for piece in pieces])
+def _sampled(segments: list[LaneSegment]) -> _Points:
+    length = np.array([segment.length for segment in segments])
     counts = np.maximum(2, np.ceil(length / _SPACING).astype(np.int64) + 1)
-    piece = np.repeat(np.arange(len(pieces)), counts)
+    _refuse_many(int(counts.sum()), MOST_POINTS, "points lie on movements through junctions")
+    segment = np.repeat(np.arange(len(segments)), counts)
     place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    share = place / (counts[piece] - 1)
-    s = share * length[piece]
+    share = place / (counts[segment] - 1)
+    s = share * length[segment]
     x, y, heading, curvature, low, high, width = (
-        np.array([getattr(piece, name) for piece in pieces])[piece]
+        np.array([getattr(segment, name) for segment in segments])[segment]
         for name in ("x", "y", "heading", "curvature", "elevation", "end_elevation", "width")
     )
     # The chord of an arc: its length is s * sinc(half the turn), its direction half the turn.
@@ -130,14 +127,14 @@ def _sampled(pieces: list[LanePiece]) -> _Points:
         x=x + chord * np.cos(heading + half),
         y=y + chord * np.sin(heading + half),
         height=low + share * (high - low),
-        reach=width * _SHARE_OF_WIDTH,
-        piece=piece,
+        reach=width * SHARE_OF_WIDTH,
+        segment=segment,
         s=s,
     )
 
 
-def _last_meetings(points: _Points, pieces: int) -> tuple[Integers, Integers, Floats]:
-    """Return for ordered pairs of pieces the last place (m) on the first that is close to the second."""
+def _last_close_points(points: _Points, segments: int) -> tuple[Integers, Integers, Floats]:
+    """Return ordered pairs of segments, and the last place (m) on the first that is close to the second."""
     column = np.floor((points.x - points.x.min()) / CLEARANCE).astype(np.int64) + 1
     row = np.floor((points.y - points.y.min()) / CLEARANCE).astype(np.int64) + 1
     columns = int(column.max()) + 2
@@ -148,17 +145,23 @@ def _last_meetings(points: _Points, pieces: int) -> tuple[Integers, Integers, Fl
     for shift in (-columns - 1, -columns, -columns + 1, -1, 0, 1, columns - 1, columns, columns + 1):
         begin = np.searchsorted(sorted_cell, cell + shift)
         count = np.searchsorted(sorted_cell, cell + shift, side="right") - begin
+        _refuse_many(int(count.sum()), MOST_CLOSE_POINTS, "pairs of points of movements lie close together")
         a = np.repeat(np.arange(len(cell)), count)
         b = order[
             np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
         ]
         distance = np.hypot(points.x[a] - points.x[b], points.y[a] - points.y[b])
         close = distance < np.minimum(CLEARANCE, points.reach[a] + points.reach[b])
-        close &= np.abs(points.height[a] - points.height[b]) <= LEVEL_HEIGHT
-        keys.append(points.piece[a[close]] * pieces + points.piece[b[close]])
+        close &= np.abs(points.height[a] - points.height[b]) <= ROAD_LEVEL_HEIGHT
+        keys.append(points.segment[a[close]] * segments + points.segment[b[close]])
         lasts.append(points.s[a[close]])
     key, last = _greatest(np.concatenate(keys), np.concatenate(lasts))
-    return key // pieces, key % pieces, last
+    return key // segments, key % segments, last
+
+
+def _refuse_many(count: int, most: int, what: str) -> None:
+    if count > most:
+        raise ValueError(f"{count:,} {what}, at most {most:,} are allowed")
 
 
 def _greatest(key: Integers, value: Floats) -> tuple[Integers, Floats]:

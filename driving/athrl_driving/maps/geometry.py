@@ -1,4 +1,4 @@
-"""Positions on lanes and lanes of positions, compiled.
+"""Poses on lanes, and the lane of a pose, compiled.
 
 The conventions are those of highway-env's `StraightLane` and `CircularLane`: longitudinal along the centre
 line from the lane's start, lateral positive to the driver's right. Headings are radians, distances metres.
@@ -6,13 +6,13 @@ line from the lane's start, lateral positive to the driver's right. Headings are
 
 import math
 
-from athrl_driving.compilation import compiled, inlined
+from athrl_driving.kernels.compilation import compiled, inlined
 from athrl_driving.maps.lane_graph import GRID_CELL, LaneGraph
 
 
 @compiled
 def lane_pose(graph: LaneGraph, lane: int, s: float) -> tuple[float, float, float]:
-    """Return (x, y, heading) at `s` metres along row `lane`."""
+    """Return (x, y, heading) at `s` metres along a lane."""
     curvature = graph.curvature[lane]
     heading = graph.start_heading[lane]
     cos0, sin0 = graph.start_cos[lane], graph.start_sin[lane]
@@ -26,7 +26,7 @@ def lane_pose(graph: LaneGraph, lane: int, s: float) -> tuple[float, float, floa
 
 @compiled
 def lane_project(graph: LaneGraph, lane: int, x: float, y: float) -> tuple[float, float]:
-    """Return (longitudinal, lateral) of a point on row `lane`; on an arc within half a circle."""
+    """Return (longitudinal, lateral) of a point on a lane; on an arc only within half a circle."""
     curvature = graph.curvature[lane]
     cos0, sin0 = graph.start_cos[lane], graph.start_sin[lane]
     dx, dy = x - graph.start_x[lane], y - graph.start_y[lane]
@@ -46,16 +46,16 @@ def lane_project(graph: LaneGraph, lane: int, x: float, y: float) -> tuple[float
 
 @inlined
 def lane_elevation(graph: LaneGraph, lane: int, s: float) -> float:
-    """Return the height (m) at `s` metres along row `lane`."""
+    """Return the height (m) at `s` metres along a lane."""
     return graph.elevation[lane] + graph.grade[lane] * s
 
 
 @compiled
 def closest_lane(graph: LaneGraph, x: float, y: float, heading: float) -> int:
-    """Return the row nearest to a pose: lateral distance, plus what lies outside the ends, plus the angle.
+    """Return the lane nearest to a pose: lateral distance, plus distance beyond the ends, plus the angle.
 
-    The measure is that of highway-env's `distance_with_heading`; ties go to the first row. It is never less
-    than the distance in the plane, so cells farther away than the best row so far need no look.
+    The measure is that of highway-env's `distance_with_heading`; ties go to the first lane. It is never less
+    than the distance in the plane, so cells farther away than the best lane so far need not be searched.
     """
     columns, rows = graph.grid_shape[0], graph.grid_shape[1]
     column = math.floor((x - graph.grid_origin[0]) / GRID_CELL)

@@ -1,4 +1,4 @@
-"""Where lanes lie: their boxes, and a grid of cells with the lanes in each."""
+"""Bounding boxes of lanes, and a grid of cells with the lanes in each."""
 
 from typing import TypedDict
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.maps.lane_graph import GRID_CELL, Floats, Integers
+from athrl_driving.maps.opendrive.bounds import LARGEST_AREA, MOST_GRID_ENTRIES
 
 _SAMPLES = 17
 
@@ -43,13 +44,20 @@ def lane_boxes(
 
 
 def lane_grid(box: Floats) -> Grid:
-    """Return the lanes whose boxes touch each cell, cells row by row."""
+    """Return the lanes whose boxes touch each cell, cells row by row. Raises `ValueError`: too large."""
     origin = box[:, :2].min(axis=0)
+    width, height = (box[:, 2:].max(axis=0) - origin) / 1000.0
+    if not width * height <= LARGEST_AREA:
+        raise ValueError(
+            f"the lanes lie on {width:,.0f} x {height:,.0f} km, at most {LARGEST_AREA:,.0f} km2 are allowed"
+        )
     low = ((box[:, :2] - origin) // GRID_CELL).astype(np.int64)
     high = ((box[:, 2:] - origin) // GRID_CELL).astype(np.int64)
     shape = high.max(axis=0) + 1
     span = high - low + 1
     count = span.prod(axis=1)
+    if count.sum() > MOST_GRID_ENTRIES:
+        raise ValueError(f"its lanes are too long and too many: they touch {count.sum():,} cells of the grid")
     lane = np.repeat(np.arange(len(box)), count)
     place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     column = low[lane, 0] + place % span[lane, 0]

@@ -1,14 +1,15 @@
 """The junctions of a town: those of the file, joined where no vehicle could stand between them."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from athrl_driving.maps.disjoint_sets import DisjointSets
+from athrl_driving.maps.opendrive.carriageways import LaneSegment
 from athrl_driving.maps.opendrive.model import OpenDrive
-from athrl_driving.maps.opendrive.strips import LanePiece
-from athrl_driving.maps.stretches import Way
+from athrl_driving.maps.standing_segments import Movement
 
 _KINDS = {1: "bend", 2: "passage", 3: "T-junction"}
 
@@ -17,8 +18,8 @@ _KINDS = {1: "bend", 2: "passage", 3: "T-junction"}
 class Junction:
     """A junction's place name and kind.
 
-    The kind is "roundabout" (one of its arms, or all of it), "ramp" (lanes merge or part at a small angle),
-    or by the number of arms "passage", "T-junction" or "crossing".
+    The kind is "roundabout" (one of its arms, or all of it), "ramp" (lanes merge or diverge at a small
+    angle), or by the number of arms "passage", "T-junction" or "crossing".
     """
 
     name: str
@@ -26,42 +27,52 @@ class Junction:
 
 
 def number_junctions(
-    content: OpenDrive, ways: list[Way], ring: set[LanePiece], yields: NDArray[np.bool_]
+    content: OpenDrive, movements: list[Movement], ring: set[LaneSegment], yields: NDArray[np.bool_]
 ) -> tuple[tuple[Junction, ...], NDArray[np.int64]]:
-    """Return the junctions, and the number of each way's junction [M]."""
-    parent: dict[str, str] = {}
-
-    def root(name: str) -> str:
-        parent.setdefault(name, name)
-        while parent[name] != name:
-            name = parent[name]
-        return name
-
-    # A way without a junction on it leads over a piece of road that is too short to stand on.
-    names = [way.junctions or [f"road {way.pieces[0].strip.road.id}"] for way in ways]
-    for own in names:
-        for name in own[1:]:
-            parent[root(name)] = root(own[0])
+    """Return the junctions, and the number of each movement's junction [M]."""
+    joined: DisjointSets[str] = DisjointSets()
+    # A movement without a junction on it leads over ordinary road that is too short to stand on.
+    names = [
+        movement.junctions or [f"road {movement.segments[0].carriageway.road.id}"] for movement in movements
+    ]
+    for first, *others in names:
+        for name in others:
+            joined.join(first, name)
     numbers: dict[str, int] = {}
-    junction_of = np.array([numbers.setdefault(root(own[0]), len(numbers)) for own in names], dtype=np.int64)
+    junction_of = np.array(
+        [numbers.setdefault(joined.root(own[0]), len(numbers)) for own in names], dtype=np.int64
+    )
+    movements_of = defaultdict(list)
+    for movement, number in zip(movements, junction_of.tolist(), strict=True):
+        movements_of[number].append(movement)
+    members_of = joined.sets()
     junctions = []
     for name, number in numbers.items():
-        own_ways = [way for way, place in zip(ways, junction_of, strict=True) if place == number]
-        members = [member for member in parent if root(member) == name]
+        own_movements, members = movements_of[number], members_of[name]
         titles = [content.junctions[item].name if item in content.junctions else item for item in members]
-        junctions.append(Junction(" + ".join(titles), _kind(own_ways, ring, yields[junction_of == number])))
+        junctions.append(
+            Junction(" + ".join(titles), _kind(own_movements, ring, yields[junction_of == number]))
+        )
     return tuple(junctions), junction_of
 
 
-def _kind(ways: list[Way], ring: set[LanePiece], yields: NDArray[np.bool_]) -> str:
-    if any(piece in ring for way in ways for piece in (way.origin, *way.pieces, way.exit)):
+def _kind(movements: list[Movement], ring: set[LaneSegment], yields: NDArray[np.bool_]) -> str:
+    if any(
+        segment in ring
+        for movement in movements
+        for segment in (movement.origin, *movement.segments, movement.exit)
+    ):
         return "roundabout"
-    if yields.any() and not any(abs(_change(way)) > 0.6 for way in ways):
+    if yields.any() and not any(abs(_turned_angle(movement)) > 0.6 for movement in movements):
         return "ramp"
-    arms = Counter((way.origin.strip.road.id, way.origin.strip.forward) for way in ways)
-    arms.update((way.exit.strip.road.id, not way.exit.strip.forward) for way in ways)
+    arms = Counter(
+        (movement.origin.carriageway.road.id, movement.origin.carriageway.forward) for movement in movements
+    )
+    arms.update(
+        (movement.exit.carriageway.road.id, not movement.exit.carriageway.forward) for movement in movements
+    )
     return _KINDS.get(len(arms), "crossing")
 
 
-def _change(way: Way) -> float:
-    return sum(piece.curvature * piece.length for piece in way.pieces)
+def _turned_angle(movement: Movement) -> float:
+    return sum(segment.curvature * segment.length for segment in movement.segments)

@@ -1,8 +1,8 @@
 """A town's lanes as arrays: what kernels read.
 
-Every lane is one row and exactly a straight line or a circular arc. Junctions are crossed on *movements*: a
-movement is the chain of one to three rows that leads from an incoming lane to an outgoing one, and it is
-what a vehicle reserves.
+Every lane of the graph is exactly a straight line or a circular arc. Junctions are crossed on *movements*: a
+movement is the chain of lanes, usually one to three, from an incoming lane to an outgoing one. It is what a
+vehicle reserves.
 """
 
 from typing import NamedTuple
@@ -20,9 +20,9 @@ GRID_CELL = 16.0
 
 
 class LaneGraph(NamedTuple):
-    """The lanes, L rows (C-contiguous arrays; numba takes the tuple as it is).
+    """The L lanes (C-contiguous arrays; numba takes the tuple as it is).
 
-    Lists of variable length are in compressed form: those of row `i` are `values[start[i]:start[i + 1]]`.
+    Lists of variable length are in compressed form: those of lane `i` are `values[start[i]:start[i + 1]]`.
     """
 
     curvature: Floats
@@ -36,9 +36,9 @@ class LaneGraph(NamedTuple):
     length: Floats
     """[L] m, along the centre line."""
     width: Floats
-    """[L] m, the mean over the row."""
+    """[L] m, the mean over the lane."""
     elevation: Floats
-    """[L] m above the map's zero, at the row's start."""
+    """[L] m above the map's zero, at the lane's start."""
     grade: Floats
     """[L] m per m: `elevation + grade * s` is the height at `s` metres, within 0.3 m."""
     speed_limit: Floats
@@ -46,21 +46,25 @@ class LaneGraph(NamedTuple):
     successor_start: Integers
     """[L+1]."""
     successor: Integers
-    """[S] rows that follow; a lane without one is a `dead_end`."""
+    """[S] lanes that follow; a lane without one is a `dead_end`, or the road `leaves` the map."""
     dead_end: NDArray[np.bool_]
     """[L] the lane ends here: a vehicle has to change to a neighbour before its end."""
+    enters: NDArray[np.bool_]
+    """[L] the lane's road enters the map at its start: background vehicles enter there."""
+    leaves: NDArray[np.bool_]
+    """[L] the lane's road leaves the map at its end: background vehicles leave there."""
     junction: Integers
-    """[L] -1 on ordinary lanes, else the number of the junction that the row's movement belongs to."""
+    """[L] -1 on ordinary lanes, else the number of the junction that the lane's movement belongs to."""
     turn: Integers
     """[L] 0 left, 1 straight, 2 right; 1 on ordinary lanes. A roundabout is entered and left to the right."""
     left: Integers
-    """[L] the row on the left, in the same direction, that a vehicle may change to, or -1.
+    """[L] the lane on the left, in the same direction, that a vehicle may change to, or -1.
 
-    Rows beside each other cover the same stretch of road: `s` on one is `s * length[other] / length` on the
-    other. Rows of movements have no neighbours.
+    Lanes beside each other cover the same part of the road: `s` on one is `s * length[other] / length` on the
+    other. Lanes of movements have no neighbours.
     """
     right: Integers
-    """[L] the row on the right that a vehicle may change to, as `left`."""
+    """[L] the lane on the right that a vehicle may change to, as `left`."""
     start_cos: Floats
     """[L] cosine of `start_heading`."""
     start_sin: Floats
@@ -68,9 +72,9 @@ class LaneGraph(NamedTuple):
     box: Floats
     """[L, 4] least x, least y, greatest x, greatest y of the lane's surface, m."""
     movement: Integers
-    """[L] the movement that the row belongs to, -1 on ordinary lanes."""
+    """[L] the movement that the lane belongs to, -1 on ordinary lanes."""
     movement_offset: Floats
-    """[L] m driven on the movement before the row starts; 0 on ordinary lanes."""
+    """[L] m driven on the movement before the lane starts; 0 on ordinary lanes."""
     grid_origin: Floats
     """[2] x and y (m) of the grid's corner with the least coordinates; cells are `GRID_CELL` wide."""
     grid_shape: Integers
@@ -78,11 +82,11 @@ class LaneGraph(NamedTuple):
     grid_start: Integers
     """[cells + 1]; the cell in column c and row r is number `r * columns + c`."""
     grid_lane: Integers
-    """[..] rows of the lane graph, ascending in every cell, whose boxes touch the cell."""
+    """[..] lanes, ascending in every cell, whose boxes touch the cell."""
 
 
 class Movements(NamedTuple):
-    """The ways through the junctions, M rows."""
+    """The M movements through the junctions."""
 
     origin: Integers
     """[M] the ordinary lane that it starts from."""
@@ -91,21 +95,21 @@ class Movements(NamedTuple):
     length: Floats
     """[M] m."""
     yields: NDArray[np.bool_]
-    """[M] gives way to what it conflicts with: a roundabout's entry, a ramp, or as the map's file says."""
+    """[M] yields to what it conflicts with: a roundabout's entry, a ramp, or as the map's file says."""
     priority: Integers
-    """[M] among those that wait: 0 goes first, a higher number gives way to a lower one."""
+    """[M] among those that wait: 0 goes first, a higher number yields to a lower one."""
     signal: Integers
-    """[M] the row of `Signals` that governs it, or -1."""
+    """[M] the group of `Signals` that governs it, or -1."""
     lane_start: Integers
     """[M+1]."""
     lane: Integers
-    """[..] its rows in driving order."""
+    """[..] its lanes in driving order."""
     conflict_start: Integers
     """[M+1]."""
     conflict: Integers
     """[..] movements of other origins that sweep a common area or lead to the same exit."""
     release: Floats
-    """[..] m along the conflict, in the order of `conflict`: behind them its vehicles are out of the way."""
+    """[..] m along the conflict, in the order of `conflict`: vehicles beyond it are out of the way."""
     sibling_start: Integers
     """[M+1]."""
     sibling: Integers
@@ -115,7 +119,7 @@ class Movements(NamedTuple):
 
 
 class Signals(NamedTuple):
-    """Groups of traffic lights that change together, G rows (none on a map without lights).
+    """G groups of traffic lights that change together (none on a map without lights).
 
     Times are seconds within the group's cycle; the groups of one junction share a cycle.
     """
@@ -125,7 +129,7 @@ class Signals(NamedTuple):
     green_from: Floats
     """[G] s; the light is green from here on."""
     green_until: Floats
-    """[G] s; smaller than `green_from` where the green phase goes over the cycle's end."""
+    """[G] s; smaller than `green_from` where the green phase extends over the cycle's end."""
     yellow: Floats
     """[G] s after the green phase; then it is red."""
 

@@ -1,7 +1,7 @@
 """The same lanes as highway-env's road network, for its renderer and its vehicles.
 
-An edge of the network is a strip: the lanes of one direction between two stations of a road, from the left to
-the right, so that highway-env's vehicles change lanes on it. Nodes join what lane links join.
+An edge of the network is a carriageway: the lanes of one direction between two stations of a road, from
+the left to the right, so that highway-env's vehicles change lanes on it. Nodes join what lane links join.
 """
 
 import heapq
@@ -15,10 +15,10 @@ from highway_env.road.lane import AbstractLane, CircularLane, LineType, Straight
 from highway_env.road.road import LaneIndex, RoadNetwork
 from numpy.typing import NDArray
 
-from athrl_driving.maps.assembly import Rows
 from athrl_driving.maps.geometry import closest_lane
 from athrl_driving.maps.lane_graph import LaneGraph
-from athrl_driving.maps.opendrive.strips import LanePiece, Strip
+from athrl_driving.maps.lane_graph_builder import LaneNumbering
+from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
 from athrl_driving.maps.reachability import Drivable
 
 
@@ -36,13 +36,13 @@ class TownNetwork(RoadNetwork):
         """Return the index of the lane closest to a position (m) and, where given, a heading (rad)."""
         if heading is None:
             return super().get_closest_lane_index(position)
-        row = closest_lane(self.lane_graph, float(position[0]), float(position[1]), float(heading))
-        return self.lane_indices[row]
+        lane = closest_lane(self.lane_graph, float(position[0]), float(position[1]), float(heading))
+        return self.lane_indices[lane]
 
     def shortest_path(self, start: str, goal: str) -> list[str]:
-        """Return the nodes of the shortest way in metres; empty where there is none, or none is needed.
+        """Return the nodes of the shortest path in metres; empty where there is none, or none is needed.
 
-        highway-env's own search tries all ways that do not meet themselves, which takes for ever in a town.
+        highway-env's own search tries every path without a loop, which takes far too long in a town.
         """
         metres, before, waiting = {start: 0.0}, {start: ""}, [(0.0, start)]
         while waiting:
@@ -64,33 +64,37 @@ class TownNetwork(RoadNetwork):
         return path[::-1]
 
 
-def build_network(drivable: Drivable, rows: Rows, graph: LaneGraph) -> tuple[TownNetwork, list[LaneIndex]]:
-    """Return the network and the lane index of every row of the graph; copies of a row share one."""
-    strips: dict[Strip, list[LanePiece]] = defaultdict(list)
-    for piece in dict.fromkeys(rows.pieces):
-        strips[piece.strip].append(piece)
-    nodes = _name_nodes(drivable, strips)
-    edges: dict[tuple[str, str], list[LanePiece]] = defaultdict(list)
-    for strip, pieces in strips.items():
-        edges[nodes[strip]] += sorted(pieces, key=strip.lanes.index)
-    index_of: dict[LanePiece, LaneIndex] = {}
-    for (start, end), pieces in edges.items():
-        if len({piece.strip for piece in pieces}) > 1:
-            pieces.sort(key=partial(_place_from_left, pieces[0]))
-        for identifier, piece in enumerate(pieces):
-            index_of[piece] = (start, end, identifier)
-    indices = [index_of[piece] for piece in rows.pieces]
+def build_network(
+    drivable: Drivable, numbering: LaneNumbering, graph: LaneGraph
+) -> tuple[TownNetwork, list[LaneIndex]]:
+    """Return the network and highway-env's index of every lane of the graph; copies of a lane share one."""
+    carriageways: dict[Carriageway, list[LaneSegment]] = defaultdict(list)
+    for segment in dict.fromkeys(numbering.segments):
+        carriageways[segment.carriageway].append(segment)
+    nodes = _name_nodes(drivable, carriageways)
+    edges: dict[tuple[str, str], list[LaneSegment]] = defaultdict(list)
+    for carriageway, segments in carriageways.items():
+        edges[nodes[carriageway]] += sorted(segments, key=carriageway.lanes.index)
+    index_of: dict[LaneSegment, LaneIndex] = {}
+    for (start, end), segments in edges.items():
+        if len({segment.carriageway for segment in segments}) > 1:
+            segments.sort(key=partial(_place_from_left, segments[0]))
+        for identifier, segment in enumerate(segments):
+            index_of[segment] = (start, end, identifier)
+    indices = [index_of[segment] for segment in numbering.segments]
     network = TownNetwork(graph, indices)
-    row_of = {piece: row for row, piece in reversed(list(enumerate(rows.pieces)))}
-    for (start, end), pieces in edges.items():
-        for piece in pieces:
-            network.add_lane(start, end, _highway_lane(piece, graph, row_of[piece]))
+    lane_of = {segment: lane for lane, segment in reversed(list(enumerate(numbering.segments)))}
+    for (start, end), segments in edges.items():
+        for segment in segments:
+            network.add_lane(start, end, _highway_lane(segment, graph, lane_of[segment]))
     return network, indices
 
 
-def _name_nodes(drivable: Drivable, strips: dict[Strip, list[LanePiece]]) -> dict[Strip, tuple[str, str]]:
-    """Return every strip's start and end node."""
-    number = {strip: place for place, strip in enumerate(strips)}
+def _name_nodes(
+    drivable: Drivable, carriageways: dict[Carriageway, list[LaneSegment]]
+) -> dict[Carriageway, tuple[str, str]]:
+    """Return every carriageway's start and end node."""
+    number = {carriageway: place for place, carriageway in enumerate(carriageways)}
     parent = list(range(2 * len(number)))
 
     def root(node: int) -> int:
@@ -99,46 +103,53 @@ def _name_nodes(drivable: Drivable, strips: dict[Strip, list[LanePiece]]) -> dic
             node = parent[node]
         return node
 
-    chains = [[way.origin, *way.pieces, way.exit] for way in drivable.ways]
-    ordinary = set(drivable.pieces)
-    chains += [[piece, after] for piece in drivable.pieces for after in piece.successors if after in ordinary]
+    chains = [[movement.origin, *movement.segments, movement.exit] for movement in drivable.movements]
+    chains += [[segment, after] for segment in drivable.segments for after in drivable.ahead[segment]]
     for chain in chains:
         for before, after in itertools.pairwise(chain):
-            parent[root(2 * number[before.strip] + 1)] = root(2 * number[after.strip])
+            parent[root(2 * number[before.carriageway] + 1)] = root(2 * number[after.carriageway])
     names: dict[int, str] = {}
-    for strip, place in number.items():
-        # A node is named after the first strip that starts or ends there.
-        way = f"road {strip.road.id} {'forth' if strip.forward else 'back'}"
-        names.setdefault(root(2 * place), f"{way} {strip.start if strip.forward else strip.end:.2f}")
-        names.setdefault(root(2 * place + 1), f"{way} {strip.end if strip.forward else strip.start:.2f}")
-    return {strip: (names[root(2 * place)], names[root(2 * place + 1)]) for strip, place in number.items()}
+    for carriageway, place in number.items():
+        # A node is named after the first carriageway that starts or ends there.
+        label = f"road {carriageway.road.id} {'forth' if carriageway.forward else 'back'}"
+        names.setdefault(
+            root(2 * place), f"{label} {carriageway.start if carriageway.forward else carriageway.end:.2f}"
+        )
+        names.setdefault(
+            root(2 * place + 1),
+            f"{label} {carriageway.end if carriageway.forward else carriageway.start:.2f}",
+        )
+    return {
+        carriageway: (names[root(2 * place)], names[root(2 * place + 1)])
+        for carriageway, place in number.items()
+    }
 
 
-def _place_from_left(reference: LanePiece, piece: LanePiece) -> float:
-    """Return how far to the right of `reference` a piece lies in its middle (m)."""
+def _place_from_left(reference: LaneSegment, segment: LaneSegment) -> float:
+    """Return how far to the right of `reference` a segment's middle lies (m)."""
     x, y, heading = reference.at(0.5 * reference.length)
-    piece_x, piece_y, _ = piece.at(0.5 * piece.length)
-    return (piece_y - y) * math.cos(heading) - (piece_x - x) * math.sin(heading)
+    segment_x, segment_y, _ = segment.at(0.5 * segment.length)
+    return (segment_y - y) * math.cos(heading) - (segment_x - x) * math.sin(heading)
 
 
-def _line_types(graph: LaneGraph, row: int) -> tuple[int, int]:
-    if graph.movement[row] >= 0:
+def _line_types(graph: LaneGraph, lane: int) -> tuple[int, int]:
+    if graph.movement[lane] >= 0:
         return LineType.NONE, LineType.NONE
-    left = LineType.CONTINUOUS if graph.left[row] < 0 else LineType.STRIPED
-    right = LineType.CONTINUOUS if graph.right[row] < 0 else LineType.NONE
+    left = LineType.CONTINUOUS if graph.left[lane] < 0 else LineType.STRIPED
+    right = LineType.CONTINUOUS if graph.right[lane] < 0 else LineType.NONE
     return left, right
 
 
-def _highway_lane(piece: LanePiece, graph: LaneGraph, row: int) -> AbstractLane:
-    curvature = float(graph.curvature[row])
-    heading, length = float(graph.start_heading[row]), float(graph.length[row])
-    x, y = float(graph.start_x[row]), float(graph.start_y[row])
+def _highway_lane(segment: LaneSegment, graph: LaneGraph, lane: int) -> AbstractLane:
+    curvature = float(graph.curvature[lane])
+    heading, length = float(graph.start_heading[lane]), float(graph.length[lane])
+    x, y = float(graph.start_x[lane]), float(graph.start_y[lane])
     looks = {
-        "width": piece.width,
-        "line_types": _line_types(graph, row),
-        "speed_limit": piece.limit,
-        # On roads beside each other one may change; between ways through a junction one may not.
-        "forbidden": graph.movement[row] >= 0,
+        "width": segment.width,
+        "line_types": _line_types(graph, lane),
+        "speed_limit": segment.limit,
+        # Lane changes are allowed on ordinary road, and forbidden between movements through a junction.
+        "forbidden": graph.movement[lane] >= 0,
     }
     if curvature == 0.0:
         end = (x + length * math.cos(heading), y + length * math.sin(heading))

@@ -4,35 +4,43 @@ import difflib
 import logging
 import os
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from athrl_spaces.untrusted import one_line, parser_errors
 from numpy.typing import NDArray
 
-from athrl_driving.maps.assembly import Rows, build_graph, build_movements, number_rows
 from athrl_driving.maps.conflicts import relations_of
+from athrl_driving.maps.findings import Finding
 from athrl_driving.maps.junctions import Junction, number_junctions
 from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals
+from athrl_driving.maps.lane_graph_builder import build_graph, build_movements, number_lanes
 from athrl_driving.maps.network import TownNetwork, build_network
 from athrl_driving.maps.opendrive import MapError, read_opendrive
-from athrl_driving.maps.opendrive.roadway import Roadway, lay_roadway
-from athrl_driving.maps.priority import priorities, ring_pieces, turn_of, yielding_ways
+from athrl_driving.maps.opendrive.carriageways import LaneSegment
+from athrl_driving.maps.opendrive.roadway import Roadway, build_roadway
+from athrl_driving.maps.outlines import LaneShapes, centre_lines
+from athrl_driving.maps.priority import priorities, ring_segments, turn_of, yielding_movements
 from athrl_driving.maps.reachability import Drivable, drivable_part
 from athrl_driving.maps.signals import signals_of
-from athrl_driving.maps.stretches import (
-    all_pieces,
-    find_ways,
+from athrl_driving.maps.standing_segments import (
+    all_segments,
+    find_movements,
     make_junctions_of_forks,
     skip_very_short,
-    standing_pieces,
+    standing_segments,
 )
+from athrl_driving.maps.town_file import TownFile, town_file
 
-_FOLDER = Path(__file__).parent / "towns"
+_FOLDER = Path(__file__).resolve().parent / "towns"
 
 TOWNS: tuple[str, ...] = tuple(sorted(path.stem for path in _FOLDER.glob("*.xodr")))
 """The names of the towns that the project ships."""
+
+LEFT_OUT_SHARE = 0.02
+"""Of all driving metres: where more is left out, it is a warning."""
 
 _ROADS_NAMED = 5
 
@@ -44,48 +52,70 @@ class Town:
     """A town: highway-env's network and the arrays are two views of the same lanes."""
 
     name: str
+    revision: str
+    """Of OpenDRIVE, as the file tells it, such as "1.6"; empty where it does not."""
     network: TownNetwork
     graph: LaneGraph
     movements: Movements
     signals: Signals
     lane_indices: list[tuple[str, str, int]]
-    """Row of the graph -> highway-env's lane index; several rows may share one."""
+    """By lane of the graph: highway-env's lane index; copies of a lane share one."""
     road_name: tuple[str, ...]
-    """Row of the graph -> the name of its road in the map's file."""
+    """By lane of the graph: the name of its road in the map's file."""
     lane_id: NDArray[np.int64]
-    """Row of the graph -> its lane's id on that road."""
+    """By lane of the graph: the id on that road in the map's file."""
     junctions: tuple[Junction, ...]
-    """By junction number; junctions that a way crosses without a place to stand between are one."""
+    """By junction number; junctions that a movement crosses without a place to stand between are one."""
+    roads: int
+    """How many roads the file has, connecting roads in junctions too."""
+    traffic_lights: int
+    """How many traffic lights the file has, those too that no lane heeds."""
     lane_kilometres: float
-    """Of all driving lanes in the file, ways through junctions too, before anything was left out."""
+    """Of all driving lanes in the file, those in junctions too, before anything was left out."""
     junction_arms: Counter[int]
     """How many junctions in the file have how many arms (ends of roads with driving lanes)."""
     left_out: tuple[tuple[str, int, float], ...]
     """Driving lanes that lead nowhere or cannot be reached: (road's name, lane id, m)."""
+    left_out_shapes: LaneShapes
+    """Where the lanes lie that are left out."""
+    findings: tuple[Finding, ...]
+    """Faults of the file that were bridged or left out."""
+    file: TownFile | None = None
+    """What it was read from; None if it was built otherwise."""
+
+    def __reduce__(self) -> tuple:
+        """Pickle the name and the checksum of the file, from which the copy's process loads the town again.
+
+        Raises `MapError` for a town that was not read from a file.
+        """
+        if self.file is None:
+            raise MapError(f"the town {self.name!r} cannot be pickled: it was not read from a file")
+        return load_same_town, (self.file,)
+
+    def __copy__(self) -> "Town":
+        """Return the same town, as nothing in it changes."""
+        return self
+
+    def __deepcopy__(self, memo: dict) -> "Town":
+        """Return the same town, as nothing in it changes."""
+        return self
 
     def lane_polylines(self, spacing: float = 2.0) -> list[NDArray[np.float64]]:
-        """Return the centre line of every row as points [n, 2] in metres, at most `spacing` metres apart."""
-        graph, lines = self.graph, []
-        for row, length in enumerate(graph.length.tolist()):
-            straight = graph.curvature[row] == 0.0 or length <= spacing
-            s = np.linspace(0.0, length, 2 if straight else int(np.ceil(length / spacing)) + 1)
-            half = 0.5 * graph.curvature[row] * s
-            # The chord of an arc: its length is s * sinc(half the turn), its direction half the turn.
-            chord, direction = s * np.sinc(half / np.pi), graph.start_heading[row] + half
-            x = graph.start_x[row] + chord * np.cos(direction)
-            y = graph.start_y[row] + chord * np.sin(direction)
-            lines.append(np.stack([x, y], axis=1))
-        return lines
+        """Return the centre line of every lane as points [n, 2] in metres, at most `spacing` metres apart."""
+        graph = self.graph
+        shapes = LaneShapes(graph.start_x, graph.start_y, graph.start_heading, graph.curvature, graph.length)
+        return centre_lines(shapes, spacing)
 
 
-def load_town(name: str | os.PathLike[str]) -> Town:
-    """Return a town by name, or read it from an OpenDRIVE file (a path that ends in .xodr).
+def load_town(name: str | os.PathLike[str], *, strict: bool = False) -> Town:
+    """Return a town by name, or read it from an OpenDRIVE file (a path that ends in .xodr or .XODR).
 
-    A file is read once a process, and again when it has changed. Raises `ValueError` with one line: the towns
-    there are, or for a file what is wrong on which road, lane and line.
+    A process reads a file once, and again when it has changed. Small faults of a file are bridged or left
+    out, warned of and listed in `Town.findings`; with `strict` the first one is an error. Raises `ValueError`
+    with one line: the known towns, or for a file what is wrong on which road, lane and line.
     """
     path = _FOLDER / f"{name}.xodr"
-    if str(name).endswith(".xodr"):
+    if str(name).lower().endswith(".xodr"):
         path = Path(name)
     elif str(name) not in TOWNS:
         near = difflib.get_close_matches(str(name).lower(), TOWNS, n=1)
@@ -94,81 +124,134 @@ def load_town(name: str | os.PathLike[str]) -> Town:
             f"there is no town named {str(name)!r}{hint} "
             f"There are {', '.join(TOWNS)}; a file is given by its path (.xodr)"
         )
+    return _load_file(path, strict)
+
+
+def _load_file(path: Path, strict: bool) -> Town:
     try:
         path = path.expanduser().resolve(strict=True)
         changed = path.stat().st_mtime_ns
-    except OSError:
-        raise MapError(f"{path}: there is no such file") from None
-    return _read_town(path, changed)
+    except (OSError, RuntimeError, ValueError):  # also a user's home that is not there, and a NUL in the name
+        raise MapError(f"{one_line(str(path))}: there is no such file") from None
+    return _read_town(path, changed, strict)
+
+
+def load_same_town(file: TownFile) -> Town:
+    """Load a town again that was pickled, maybe by another process on another machine.
+
+    Raises `MapError` in one line where its file is not there or has become another one.
+    """
+    # A path as it was resolved: a link that ends in .xodr may lead to a file with another name.
+    path = _FOLDER / f"{file.name}.xodr" if file.name in TOWNS else Path(file.name)
+    town = _load_file(path, file.strict)
+    assert town.file is not None  # as it was loaded
+    if town.file.checksum != file.checksum:
+        raise MapError(
+            f"{file.name} is another map than the one that was pickled "
+            f"(SHA-256 {town.file.short_checksum}, should be {file.short_checksum})"
+        )
+    return town
 
 
 @lru_cache(maxsize=16)
-def _read_town(path: Path, _changed: int) -> Town:
-    return build_town(path.stem, lay_roadway(read_opendrive(path)))
+def _read_town(path: Path, _changed: int, strict: bool) -> Town:
+    with (
+        parser_errors(lambda reason: MapError(f"{path.name}: {reason}")),
+        np.errstate(over="raise", divide="raise", invalid="raise"),
+    ):
+        town = build_town(path.stem, build_roadway(read_opendrive(path, strict)))
+    return replace(town, file=town_file(town.name if path.parent == _FOLDER else str(path), path, strict))
 
 
 def build_town(name: str, roadway: Roadway) -> Town:
-    """Build a town from lanes. Raises `MapError` where they do not lead to each other."""
-    content, strips = roadway.content, roadway.strips
-    skip_very_short(strips)
-    make_junctions_of_forks(strips)
-    pieces = all_pieces(strips)
-    standing = standing_pieces(pieces)
-    drivable = drivable_part(strips, standing, find_ways(pieces, standing))
-    rows = number_rows(drivable)
+    """Build a town from lanes. Raises `ValueError` where none can be driven on or they are too many."""
+    content, carriageways = roadway.content, roadway.carriageways
+    skip_very_short(carriageways)
+    make_junctions_of_forks(carriageways)
+    segments = all_segments(carriageways)
+    standing = standing_segments(content.name, segments)
+    drivable = drivable_part(carriageways, standing, find_movements(segments, standing))
+    numbering = number_lanes(drivable)
     _check_drivable(content.name, drivable)
-    left_out = _left_out(pieces, rows)
-    relations = relations_of(drivable.ways)
-    turns = np.array([turn_of(way) for way in drivable.ways], dtype=np.int64)
-    ring = ring_pieces(list(dict.fromkeys(rows.pieces)))
-    yields = yielding_ways(content, drivable.ways, relations, ring)
-    junctions, junction_of = number_junctions(content, drivable.ways, ring, yields)
-    signals, signal = signals_of(content, drivable.ways, junction_of, relations.conflicts)
-    graph = build_graph(drivable, rows, junction_of, turns)
-    network, indices = build_network(drivable, rows, graph)
-    _report(content.name, drivable, left_out)
+    kept = set(numbering.segments)
+    lost = [segment for segment in segments if segment not in kept]
+    left_out = _left_out(lost)
+    relations = relations_of(drivable.movements)
+    turns = np.array([turn_of(movement) for movement in drivable.movements], dtype=np.int64)
+    ring = ring_segments(list(dict.fromkeys(numbering.segments)))
+    yields = yielding_movements(content, drivable.movements, relations, ring)
+    junctions, junction_of = number_junctions(content, drivable.movements, ring, yields)
+    signals, signal = signals_of(content, drivable.movements, junction_of, relations.conflicts)
+    graph = build_graph(drivable, numbering, junction_of, turns)
+    network, indices = build_network(drivable, numbering, graph)
+    _report(content.name, drivable, left_out, sum(segment.length for segment in segments))
+    content.findings.warn()
     return Town(
         name=name,
+        revision=content.revision,
         network=network,
         graph=graph,
         movements=build_movements(
-            drivable, rows, relations, yields, priorities(drivable.ways, turns, yields), signal
+            drivable, numbering, relations, yields, priorities(drivable.movements, turns, yields), signal
         ),
         signals=signals,
         lane_indices=indices,
-        road_name=tuple(piece.strip.road.name for piece in rows.pieces),
-        lane_id=np.array([piece.lane.id for piece in rows.pieces], dtype=np.int64),
+        road_name=tuple(segment.carriageway.road.name for segment in numbering.segments),
+        lane_id=np.array([segment.lane.id for segment in numbering.segments], dtype=np.int64),
         junctions=junctions,
+        roads=len(content.roads),
+        traffic_lights=len({signal.id for road in content.roads.values() for signal in road.signals}),
         lane_kilometres=roadway.lane_kilometres,
         junction_arms=roadway.junction_arms,
         left_out=left_out,
+        left_out_shapes=_shapes(lost),
+        findings=tuple(content.findings),
     )
 
 
 def _check_drivable(name: str, drivable: Drivable) -> None:
-    if not any(piece.successors for piece in drivable.pieces):
-        raise MapError(f"{name}: its driving lanes do not lead to each other: nobody could drive for long")
+    if not drivable.segments:
+        raise MapError(
+            f"{name}: its driving lanes lead to no loop and from no edge of the map to another: "
+            "no vehicle could drive on"
+        )
 
 
-def _left_out(pieces: list, rows: Rows) -> tuple[tuple[str, int, float], ...]:
-    kept = set(rows.pieces)
-    lost: dict[tuple[str, int], float] = defaultdict(float)
-    for piece in pieces:
-        if piece not in kept:
-            lost[piece.strip.road.name, piece.lane.id] += piece.length
-    return tuple((road, lane, length) for (road, lane), length in lost.items())
+def _left_out(lost: list[LaneSegment]) -> tuple[tuple[str, int, float], ...]:
+    metres: dict[tuple[str, int], float] = defaultdict(float)
+    for segment in lost:
+        metres[segment.carriageway.road.name, segment.lane.id] += segment.length
+    return tuple((road, lane, length) for (road, lane), length in metres.items())
 
 
-def _report(name: str, drivable: Drivable, left_out: tuple[tuple[str, int, float], ...]) -> None:
+def _shapes(segments: list[LaneSegment]) -> LaneShapes:
+    columns = ([getattr(segment, name) for segment in segments] for name in LaneShapes._fields)
+    return LaneShapes(*(np.array(column, dtype=np.float64) for column in columns))
+
+
+def _report(
+    name: str, drivable: Drivable, left_out: tuple[tuple[str, int, float], ...], metres: float
+) -> None:
+    """Log what is not driven on; `metres` is the length of all driving lanes."""
     for road, lane, length in left_out:
         _log.debug("%s: %s, lane %d: %.1f m left out", name, road, lane, length)
     if left_out:
-        _log.info(
-            "%s: %.1f m of %d lanes left out, as they lead nowhere or nothing leads there: %s",
+        lost = sum(length for *_, length in left_out)
+        _log.log(
+            logging.WARNING if lost > LEFT_OUT_SHARE * metres else logging.INFO,
+            "%s: %.1f m of %d lanes (%.1f %%) left out, as they lead nowhere or nothing leads there: %s",
             name,
-            sum(length for *_, length in left_out),
+            lost,
             len(left_out),
+            100.0 * lost / metres,
             _names(sorted({road for road, *_ in left_out})),
+        )
+    if drivable.leaves:
+        _log.info(
+            "%s: its roads end at the edge: vehicles enter on %d lanes and leave on %d",
+            name,
+            len(drivable.enters),
+            len(drivable.leaves),
         )
     if drivable.opened:
         _log.info("%s: %d changes of lane allowed against the marks", name, drivable.opened)

@@ -1,7 +1,7 @@
 """nuPlan's comfort bounds on smoothed motion.
 
 As in nuPlan, the motion is smoothed by fitting parabolas (a Savitzky-Golay filter): turning and jerk come
-from the parabola through the 15 ticks around a moment. An episode's first and last seven ticks are read off
+from the parabola through the 15 ticks around a moment. An episode's first and last seven ticks are taken from
 its first and its last parabola; a shorter episode is one parabola. The turning rate is the slope of the
 heading and the jerk that of the acceleration (`longitudinal_jerk`) or of its magnitude (`jerk`). Two things
 differ: the accelerations themselves are smoothed over 7 ticks, not 8, so that the window has a middle, and
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from athrl_driving.compilation import inlined, inner
+from athrl_driving.kernels.compilation import inlined, inner
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.metrics.state import HEADING, LATERAL, LONGITUDINAL, MAGNITUDE, WINDOW
 
@@ -68,10 +68,10 @@ def _smoothed(window: Floats, column: int, first: int, count: int, place: int) -
 
 @inner
 def judge(window: Floats, count: int, from_place: int, dt: float, comfortable: Integers) -> None:
-    """Judge the ticks of the window from a place on to the last or, in a long episode, to the middle.
+    """Judge the ticks of the window from a place to the last or, in a long episode, to the middle.
 
     Adds 1 to each entry of `comfortable` [7] whose bound a tick keeps. The window's last `count` entries are
-    known. A full window is judged up to its middle, or behind it where `from_place` lies there.
+    known. A full window is judged up to its middle, or after it where `from_place` is after it.
     """
     first, last = WINDOW - count, WINDOW
     if count == WINDOW and from_place <= WINDOW // 2:
@@ -101,7 +101,7 @@ def judge(window: Floats, count: int, from_place: int, dt: float, comfortable: I
 
 @inlined
 def remember(window: Floats, heading: float, longitudinal: float, lateral: float) -> None:
-    """Move the window on by a tick."""
+    """Shift the window by one tick and append the newest."""
     for place in range(WINDOW - 1):
         for column in range(4):
             window[place, column] = window[place + 1, column]

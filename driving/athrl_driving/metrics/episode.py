@@ -1,12 +1,13 @@
-"""Counting an episode tick by tick, and its summary."""
+"""Counts an episode tick by tick, and summarises it."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from athrl_driving.compilation import compiled, inlined, prepare
+from athrl_driving.kernels.compilation import compiled, inlined, prepare
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.metrics.comfort import judge, remember
 from athrl_driving.metrics.state import COMFORT_BOUNDS, NO_COLLISION, WINDOW, MetricsState
@@ -18,17 +19,17 @@ LEAST_TIME_TO_COLLISION = 0.95
 """nuPlan's bound, s."""
 
 LONGEST_TIME_TO_COLLISION = 5.0
-"""What the summary says where the ego was never closer to touching somebody, s."""
+"""The summary's value where the time to collision was never shorter, s."""
 
 PENALTIES = (0.60, 0.65, 0.70)
-"""CARLA leaderboard's factors for a collision with a vehicle, one with a thing, and a red light run."""
+"""CARLA leaderboard's factors for a collision with a vehicle, one with an object, and a red light run."""
 
 
 @inlined
 def reset_metrics(metrics: MetricsState, speed: float, heading: float, goal: float) -> None:
     """Begin an episode of one environment with its ego's speed (m/s) and heading (rad).
 
-    `goal` is the way to the destination, m; with random turns COMPLETION_SPEED times the episode's seconds.
+    `goal` is the distance to the destination, m; with random turns COMPLETION_SPEED times the time limit.
     """
     metrics.ticks[0] = 0
     metrics.duration[0] = metrics.distance[0] = metrics.lateral[0] = 0.0
@@ -41,38 +42,44 @@ def reset_metrics(metrics: MetricsState, speed: float, heading: float, goal: flo
     metrics.motion[0], metrics.motion[1] = speed, heading
 
 
-@inlined
-def note_tick(
-    metrics: MetricsState,
-    speed: float,
-    heading: float,
-    progress: float,
-    lateral_offset: float,
-    time_to_collision: float,
-    ran_red_light: bool,
-    collision: int,
-    left_lane: bool,
-    arrived: bool,
-    dt: float,
-) -> None:
-    """Count a tick of `dt` s of one environment; speed (m/s) and heading (rad) are those after it.
+class TickRecord(NamedTuple):
+    """What the metrics need to know of one tick; speed and heading are those at its end."""
 
-    `heading` must not jump by full turns. `progress` is the tick's way along the route and `lateral_offset`
-    the distance from it, m; `time_to_collision` in s; `collision` is one of NO_COLLISION, VEHICLE_COLLISION
-    and STATIC_COLLISION.
-    """
+    speed: float
+    """m/s"""
+    heading: float
+    """rad; must not jump by full turns."""
+    progress: float
+    """Distance driven along the route, m."""
+    lateral_offset: float
+    """Distance from the route, m."""
+    time_to_collision: float
+    """s"""
+    ran_red_light: bool
+    collision: int
+    """NO_COLLISION, VEHICLE_COLLISION or STATIC_COLLISION."""
+    left_lane: bool
+    arrived: bool
+    duration: float
+    """s"""
+
+
+@inlined
+def note_tick(metrics: MetricsState, tick: TickRecord) -> None:
+    """Count a tick of one environment."""
+    speed, heading, dt = tick.speed, tick.heading, tick.duration
     metrics.ticks[0] += 1
     metrics.duration[0] += dt
-    metrics.distance[0] += progress
-    metrics.lateral[0] += abs(lateral_offset)
-    if collision != NO_COLLISION:
-        metrics.infractions[collision - 1] += 1
-    metrics.infractions[2] += ran_red_light
-    metrics.out_of_road[0] |= left_lane
-    metrics.arrived[0] |= arrived
-    if time_to_collision < metrics.minimum_time_to_collision[0]:
-        metrics.minimum_time_to_collision[0] = time_to_collision
-    metrics.clear_ticks[0] += time_to_collision > LEAST_TIME_TO_COLLISION
+    metrics.distance[0] += tick.progress
+    metrics.lateral[0] += abs(tick.lateral_offset)
+    if tick.collision != NO_COLLISION:
+        metrics.infractions[tick.collision - 1] += 1
+    metrics.infractions[2] += tick.ran_red_light
+    metrics.out_of_road[0] |= tick.left_lane
+    metrics.arrived[0] |= tick.arrived
+    if tick.time_to_collision < metrics.minimum_time_to_collision[0]:
+        metrics.minimum_time_to_collision[0] = tick.time_to_collision
+    metrics.clear_ticks[0] += tick.time_to_collision > LEAST_TIME_TO_COLLISION
     turn = (heading - metrics.motion[1]) / dt
     middle_speed = 0.5 * (speed + metrics.motion[0])
     remember(metrics.window, heading, (speed - metrics.motion[0]) / dt, middle_speed * turn)
@@ -93,15 +100,16 @@ def _judge_end(window: Floats, ticks: int, dt: float, comfortable: Integers) -> 
 
 
 def prepare_summary(metrics: MetricsState) -> None:
-    """Compile what `summary` calls, or load it."""
+    """Compile or load the kernel that `summary` calls."""
     prepare(_judge_end, metrics.window[0], 0, 0.0, metrics.comfortable[0].copy())
 
 
 def summary(metrics: MetricsState, environment: int, *, lasted: bool) -> dict[str, float]:
     """Return the metrics of one environment's episode.
 
-    `lasted` tells that it had no destination and went on until its time was up, which then is a success.
-    docs/metrics.md explains each. Shares and rates lie within 0..1, a rate being an episode's 0 or 1.
+    `lasted` means that it had no destination and lasted until the time limit, which then counts as a success.
+    The end of the route, where a map ends, is an arrival as a destination is.
+    docs/reference/metrics.md explains each metric. Shares are within 0..1; a rate is 0 or 1 for one episode.
     """
     e = environment
     ticks = int(metrics.ticks[e])
@@ -119,6 +127,7 @@ def summary(metrics: MetricsState, environment: int, *, lasted: bool) -> dict[st
         "route_completion": completion,
         "infraction_penalty": penalty,
         "success": float((arrived or lasted) and not crash and not out_of_road),
+        "arrived": float(arrived),
         "crash": float(crash),
         "out_of_road": float(out_of_road),
         "red_lights": float(metrics.infractions[e, 2]),

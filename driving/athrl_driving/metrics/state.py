@@ -1,4 +1,4 @@
-"""What is counted of each environment's episode, tick by tick."""
+"""The counts of each environment's episode, updated at every tick."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from athrl_driving.compilation import inlined
+from athrl_driving.kernels.environment_views import view_maker
 from athrl_driving.maps.lane_graph import Floats, Integers
 
 WINDOW = 15
@@ -39,15 +39,15 @@ class MetricsState(NamedTuple):
     distance: Floats
     """[E] m along the route."""
     goal: Floats
-    """[E] m along the route that are the whole of it."""
+    """[E] m, length of the whole route."""
     lateral: Floats
     """[E] sum over ticks of the distance from the route, m."""
     infractions: Integers
-    """[E, 3] collisions with vehicles, collisions with what stands beside the road, red lights run."""
+    """[E, 3] collisions with vehicles, collisions with static objects, red lights run."""
     out_of_road: Integers
     """[E] 1 once the lane has been left."""
     arrived: Integers
-    """[E] 1 once the destination has been reached."""
+    """[E] 1 once the destination, or the end of the route where the map ends, has been reached."""
     minimum_time_to_collision: Floats
     """[E] s."""
     clear_ticks: Integers
@@ -80,25 +80,11 @@ def new_metrics(environments: int) -> MetricsState:
     )
 
 
-@inlined
-def environment_metrics(metrics: MetricsState, environment: int) -> MetricsState:
-    """Return the counts of one environment: the same fields without their first axis, no copies.
-
-    Its single numbers are arrays [1].
-    """
-    e = environment
-    return MetricsState(
-        metrics.ticks[e : e + 1],
-        metrics.duration[e : e + 1],
-        metrics.distance[e : e + 1],
-        metrics.goal[e : e + 1],
-        metrics.lateral[e : e + 1],
-        metrics.infractions[e],
-        metrics.out_of_road[e : e + 1],
-        metrics.arrived[e : e + 1],
-        metrics.minimum_time_to_collision[e : e + 1],
-        metrics.clear_ticks[e : e + 1],
-        metrics.comfortable[e],
-        metrics.window[e],
-        metrics.motion[e],
-    )
+environment_metrics = view_maker(
+    MetricsState,
+    numbers=[
+        *("ticks", "duration", "distance", "goal", "lateral", "out_of_road", "arrived"),
+        *("minimum_time_to_collision", "clear_ticks"),
+    ],
+)
+"""(metrics, environment) -> the counts of one environment: the same memory without the first axis."""

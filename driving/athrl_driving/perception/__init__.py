@@ -1,6 +1,6 @@
-"""What the planner sees: a bird's eye view and a lidar image around the ego, drawn by compiled kernels."""
+"""The planner's observation: bird's eye view and lidar image around the ego, drawn by compiled kernels."""
 
-from athrl_driving.perception.drivable import LEVEL_HEIGHT, DrivableMap, draw_drivable_map, drivable_grid
+from athrl_driving.perception.drivable import DrivableMap, draw_drivable_map, drivable_grid
 from athrl_driving.perception.lidar import LIDAR_RANGE, RAYS
 from athrl_driving.perception.perception import (
     Perception,
@@ -13,7 +13,6 @@ from athrl_driving.perception.window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE
 
 __all__ = [
     "EGO_ABOVE_LOWER_EDGE",
-    "LEVEL_HEIGHT",
     "LIDAR_RANGE",
     "RAYS",
     "WINDOW_SIDE",

@@ -1,7 +1,7 @@
 """The town's surface on a fine grid, drawn once: coverage and height of each cell, by layers.
 
-Where one road leads over another, the one that is met first lies in layer 0 and the other in layer 1 (and so
-on), cell by cell, so that each can be looked up by its height.
+Where one road crosses over another, the one that is drawn first is in layer 0 and the other in layer 1 (and
+so on), cell by cell, so that each can be looked up by its height.
 """
 
 from __future__ import annotations
@@ -13,33 +13,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled
+from athrl_driving.kernels.compilation import compiled
 from athrl_driving.maps import LaneGraph, Town
 from athrl_driving.maps.geometry import lane_pose, lane_project
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
 
 CELL = 0.5
 """Side of a cell of the town's grid, m."""
 
-LEVEL_HEIGHT = 3.0
-"""What is farther above or below the ego, in metres, is not seen."""
-
 TILE = 32
-"""Cells along the side of a tile, for which the least and the greatest height are known."""
+"""Cells along the side of a tile, of which the least and the greatest height are stored."""
 
 HEIGHT_UNIT = 0.1
 """Unit of a cell's height, m."""
 
 _SAMPLES = 3
-"""A cell's brightness is the share of this many by this many points in it that lie on a lane."""
+"""A cell has this many by this many sample points; its brightness is the share of them that lie on a lane."""
 
 _MARGIN = 40.0
-"""Empty border of the grid, m, in which a window lies that reaches beyond the roads."""
+"""Width of the grid's empty border, m, for windows that reach beyond the roads."""
 
 _JOINT = 0.25
-"""Metres by which a lane is drawn beyond its ends, so that the seam of two lanes has no gap."""
+"""Metres by which a lane is drawn beyond its ends, so that there is no gap between two lanes."""
 
-_STRETCH = 16.0
-"""Metres of a lane that are drawn at a time: the box around a longer one would be mostly empty."""
+_SEGMENT_LENGTH = 16.0
+"""Length of a lane that is drawn at a time, m: the box around a longer part would be mostly empty."""
 
 _LAYERS = 4
 
@@ -48,9 +46,9 @@ class DrivableMap(NamedTuple):
     """A town's grid; rows lie along y, columns along x."""
 
     cells: NDArray[np.uint8]
-    """[layers, rows, columns] share of the cell that is drivable, of 255."""
+    """[layers, rows, columns] share of the cell that is drivable; 255 is all of it."""
     height: NDArray[np.int16]
-    """[layers, rows, columns] in HEIGHT_UNIT; of no meaning where nothing is drivable."""
+    """[layers, rows, columns] in HEIGHT_UNIT; undefined where nothing is drivable."""
     lowest: NDArray[np.float64]
     """[tile rows, tile columns] m; infinite where the tile is empty."""
     highest: NDArray[np.float64]
@@ -65,7 +63,7 @@ _MAPS: dict[int, DrivableMap] = {}
 
 
 def drivable_grid(town: Town) -> DrivableMap:
-    """Grid of a town, drawn once."""
+    """Return the grid of a town, which is drawn once."""
     if id(town) not in _MAPS:
         _MAPS[id(town)] = draw_drivable_map(town.graph)
         weakref.finalize(town, _MAPS.pop, id(town), None)
@@ -89,13 +87,13 @@ def draw_drivable_map(graph: LaneGraph) -> DrivableMap:
 _COVERAGE = np.array(
     [round(255 * number.bit_count() / _SAMPLES**2) for number in range(1 << _SAMPLES**2)], dtype=np.uint8
 )
-"""Brightness of a cell by the bit pattern of its points on a lane."""
+"""Brightness of a cell by the bit pattern of its sample points on a lane."""
 
 
 def _heights_of_tiles(
     cells: NDArray[np.uint8], height: NDArray[np.int16]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the least and the greatest height of what is drivable in each tile, m."""
+    """Return the least and the greatest height of the drivable cells in each tile, m."""
     shape = tuple(math.ceil(size / TILE) for size in cells.shape[1:])
     lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
     for row, column in np.ndindex(*shape):
@@ -111,17 +109,17 @@ def _heights_of_tiles(
 def _draw_lanes(
     graph: LaneGraph, left: float, top: float, samples: NDArray[np.uint16], height: NDArray[np.int16]
 ) -> None:
-    """Set the bits of the points that lie on a lane, and the heights of their cells."""
+    """Set the bits of the sample points that lie on a lane, and the heights of their cells."""
     for lane in range(graph.length.size):
         start = -_JOINT
         while start < graph.length[lane] + _JOINT:
-            end = min(start + _STRETCH, graph.length[lane] + _JOINT)
-            _draw_stretch(graph, lane, start, end, left, top, samples, height)
+            end = min(start + _SEGMENT_LENGTH, graph.length[lane] + _JOINT)
+            _draw_segment(graph, lane, start, end, left, top, samples, height)
             start = end
 
 
 @compiled
-def _draw_stretch(
+def _draw_segment(
     graph: LaneGraph,
     lane: int,
     start: float,
@@ -152,7 +150,7 @@ def _draw_stretch(
             for layer in range(samples.shape[0]):
                 if samples[layer, i, j] == 0:
                     height[layer, i, j] = np.int16(round(here / HEIGHT_UNIT))
-                elif abs(height[layer, i, j] * HEIGHT_UNIT - here) > LEVEL_HEIGHT:
+                elif abs(height[layer, i, j] * HEIGHT_UNIT - here) > ROAD_LEVEL_HEIGHT:
                     continue
                 samples[layer, i, j] |= bit
                 break

@@ -1,6 +1,6 @@
-"""Channel 3, lidar: rays from the ego's centre that end on the first vehicle they meet.
+"""Channel 3, lidar: rays from the ego's centre that end at the first vehicle they hit.
 
-What stands behind another vehicle is not seen. A pixel's brightness is 255 where at least one ray ended.
+Vehicles behind another one are not seen. A pixel's brightness is 255 where at least one ray ended.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import inlined, part
-from athrl_driving.perception.drivable import LEVEL_HEIGHT
+from athrl_driving.kernels.compilation import inlined, part
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
 from athrl_driving.perception.window import Window, column_of, row_of
 from athrl_driving.traffic.state import Background
 
 RAYS = 180
-"""Rays round the ego where nothing else is asked for; 2 degrees apart, 0.7 m at the window's far edge."""
+"""Default number of rays around the ego: 2 degrees apart, 0.7 m at the window's far edge."""
 
 LIDAR_RANGE = 40.0
-"""How far a ray reaches where nothing else is asked for, m."""
+"""Default range of a ray, m."""
 
 
 @part
@@ -48,9 +48,9 @@ def measure_distances(
         farthest = reach + half_length + half_width
         if dx * dx + dy * dy > farthest * farthest:
             continue
-        if abs(heights[vehicle] - elevation) > LEVEL_HEIGHT:
+        if abs(heights[vehicle] - elevation) > ROAD_LEVEL_HEIGHT:
             continue
-        # Only the rays that may meet the circle round the vehicle.
+        # Only the rays that may hit the circle around the vehicle.
         apart, radius = math.hypot(dx, dy), math.hypot(half_length, half_width)
         spread = math.pi if apart <= radius else math.asin(radius / apart)
         bearing = math.atan2(dy, dx) - heading

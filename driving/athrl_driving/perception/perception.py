@@ -1,4 +1,4 @@
-"""What is seen around the ego, and how: settings and the town's surface in one tuple, and the image."""
+"""The image of the ego's surroundings: its settings with the town's surface in one tuple, and its drawing."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled, inlined
 from athrl_driving.errors import DrivingError
+from athrl_driving.kernels.compilation import compiled, inlined
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.perception.drivable import DrivableMap, drivable_grid
@@ -19,11 +19,12 @@ from athrl_driving.perception.surface import draw_surface
 from athrl_driving.perception.vehicles import draw_vehicles
 from athrl_driving.perception.window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE, Window
 from athrl_driving.route.state import RouteState, environment_route
+from athrl_driving.traffic.ego_columns import ELEVATION, HEADING, X, Y
 from athrl_driving.traffic.state import Traffic, environment_traffic
 
 
 class Perception(NamedTuple):
-    """The window, the lidar and the town; the image's size is that of the array it is drawn into."""
+    """Settings of window and lidar, and the town; the image's size is that of the array it is drawn into."""
 
     window_side: float
     """m."""
@@ -46,9 +47,9 @@ def new_perception(
     lidar_range: float = LIDAR_RANGE,
     lidar_rays: int = RAYS,
 ) -> Perception:
-    """Prepare to draw images of a town; the lengths are metres.
+    """Prepare to draw images of a town; lengths are in metres.
 
-    Raises ValueError, in one line, for a value that cannot be.
+    Raises ValueError, in one line, for an invalid value.
     """
     if not 4.0 <= window_side <= 1000.0:
         raise DrivingError(f"the setting window_side is {window_side!r}, it should be from 4 to 1000 m")
@@ -83,17 +84,17 @@ def draw_surroundings(
     image: NDArray[np.uint8],
     distances: Floats,
 ) -> None:
-    """Draw all channels of one environment into `image` uint8 [size, size, 4], whatever it held before.
+    """Draw all channels of one environment into `image` uint8 [size, size, 4]; old content is overwritten.
 
-    `distances`, float64 [rays], is filled with what the lidar measures, m, inf where it sees nothing.
+    `distances`, float64 [rays], is filled with the lidar's distances, m, inf where there is no vehicle.
 
     `traffic` and `route` are the environment's views; `ego` is float64 [8]: x, y, heading, speed, length,
     width, elevation, present.
     """
-    heading, elevation = ego[2], ego[6]
+    heading, elevation = ego[HEADING], ego[ELEVATION]
     window = Window(
-        ego[0],
-        ego[1],
+        ego[X],
+        ego[Y],
         math.cos(heading),
         math.sin(heading),
         perception.window_side / image.shape[0],
@@ -138,12 +139,12 @@ def lidar_scan(
     perception: Perception, traffic: Traffic, environment: int, ego: Floats
 ) -> NDArray[np.float64]:
     """float64 [rays]: metres to the first vehicle in each direction, inf where none is within the range."""
-    window = Window(ego[0], ego[1], math.cos(ego[2]), math.sin(ego[2]), 1.0, 0.0, 0.0)
+    window = Window(ego[X], ego[Y], math.cos(ego[HEADING]), math.sin(ego[HEADING]), 1.0, 0.0, 0.0)
     distances = np.empty(perception.ray_cosine.shape[0])
     measure_distances(
         window,
-        ego[2],
-        ego[6],
+        ego[HEADING],
+        ego[ELEVATION],
         perception.lidar_range,
         perception.ray_cosine,
         perception.ray_sine,

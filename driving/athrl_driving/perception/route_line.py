@@ -10,22 +10,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import inlined, part
+from athrl_driving.kernels.compilation import inlined, part
 from athrl_driving.maps.lane_graph import Signals
-from athrl_driving.perception.drivable import LEVEL_HEIGHT
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
 from athrl_driving.perception.window import Window, column_of, in_frame, row_of
-from athrl_driving.route.following import piece_pose
 from athrl_driving.route.state import CURVATURE, LENGTH, START_POSITION, RouteState
+from athrl_driving.route.tracking import segment_pose
 from athrl_driving.traffic.state import Traffic
 
 LINE_REACH = 1.5
-"""Pixels from the line's middle to where its brightness has faded to nothing."""
+"""Pixels from the line's middle to where its brightness has faded to 0."""
 
 STOPPED_BRIGHTNESS = 0.5
 """Share of its brightness that the line keeps beyond a light that is not green."""
 
 _STEP = 1.0
-"""Length of the straight bits that the line is drawn with, pixels."""
+"""Length of the straight steps that the line is drawn with, pixels."""
 
 
 @inlined
@@ -34,38 +34,38 @@ def draw_route(
 ) -> None:
     """Draw the route on channel 2: 255 on its middle, falling linearly to 0 at LINE_REACH pixels from it."""
     elevations, grades = traffic.graph.elevation, traffic.graph.grade
-    pieces, rows, row_starts = route.pieces, route.row, route.row_start
+    segments, lanes, lane_starts = route.segments, route.lane, route.lane_start
     behind = 2.0 * window.aside - window.ahead
-    # What of the route can be inside the window, even on a bend.
+    # The part of the route that can be inside the window, even on a bend.
     first = route.position[0] - 1.25 * math.hypot(behind, window.aside)
     last = route.position[0] + 1.5 * math.hypot(window.ahead, window.aside)
     stop = _stop_position(traffic, route)
-    for index in range(route.piece_count[0]):
-        begin = pieces[index, START_POSITION]
-        end = min(begin + pieces[index, LENGTH], last)
-        height = elevations[rows[index]] + grades[rows[index]] * row_starts[index]
-        if end <= first or abs(height - elevation) > LEVEL_HEIGHT:
+    for index in range(route.segment_count[0]):
+        begin = segments[index, START_POSITION]
+        end = min(begin + segments[index, LENGTH], last)
+        height = elevations[lanes[index]] + grades[lanes[index]] * lane_starts[index]
+        if end <= first or abs(height - elevation) > ROAD_LEVEL_HEIGHT:
             continue
         if begin >= last:
             break
-        _draw_piece(image, window, pieces, index, max(begin, first), end, stop)
+        _draw_segment(image, window, segments, index, max(begin, first), end, stop)
 
 
 @inlined
 def _stop_position(traffic: Traffic, route: RouteState) -> float:
-    """Return where along the route the first light ahead that is not green holds it up, m; infinite if none.
+    """Return the position along the route of the first light ahead that is not green, m; infinite if none.
 
-    The way through a junction that the ego is already on does not count.
+    The movement through a junction that the ego is already on does not count.
     """
     if traffic.signals.cycle.shape[0] == 0:
         return math.inf
     movement_of = traffic.graph.movement
-    present = movement_of[route.row[route.ego_piece[0]]]
-    for index in range(route.ego_piece[0] + 1, route.piece_count[0]):
-        movement = movement_of[route.row[index]]
+    present = movement_of[route.lane[route.ego_segment[0]]]
+    for index in range(route.ego_segment[0] + 1, route.segment_count[0]):
+        movement = movement_of[route.lane[index]]
         if movement >= 0 and movement != present:
             if not _is_green(traffic.signals, traffic.movements.signal[movement], traffic.scratch.clock[0]):
-                return route.pieces[index, START_POSITION]
+                return route.segments[index, START_POSITION]
             present = movement
     return math.inf
 
@@ -81,24 +81,24 @@ def _is_green(signals: Signals, group: int, clock: float) -> bool:
 
 
 @part
-def _draw_piece(
+def _draw_segment(
     image: NDArray[np.uint8],
     window: Window,
-    pieces: NDArray[np.float64],
+    segments: NDArray[np.float64],
     index: int,
     begin: float,
     end: float,
     stop: float,
 ) -> None:
-    """Draw a piece from `begin` to `end` (m along the route) as straight bits about a pixel long."""
-    straight = pieces[index, CURVATURE] == 0.0
-    bits = max(1, math.ceil((end - begin) / (_STEP * window.pixel)))
-    length = (end - begin) / bits
-    x, y, heading = piece_pose(pieces, index, begin)
+    """Draw a segment from `begin` to `end` (m along the route) as straight steps about a pixel long."""
+    straight = segments[index, CURVATURE] == 0.0
+    steps = max(1, math.ceil((end - begin) / (_STEP * window.pixel)))
+    length = (end - begin) / steps
+    x, y, heading = segment_pose(segments, index, begin)
     forward, right = in_frame(window, x, y)
     line_row, line_column = row_of(window, forward), column_of(window, right)
-    # Along a bit the row falls and the column grows; on an arc this direction turns from bit to bit.
-    turn = pieces[index, CURVATURE] * length
+    # `down` and `along` are the change of row and column over a step; on an arc they turn at each step.
+    turn = segments[index, CURVATURE] * length
     cosine, sine = math.cos(heading + 0.5 * turn), math.sin(heading + 0.5 * turn)
     down = -(cosine * window.cosine + sine * window.sine)
     along = sine * window.cosine - cosine * window.sine
@@ -107,18 +107,18 @@ def _draw_piece(
     if not straight:
         chord *= math.sin(0.5 * turn) / (0.5 * turn)
     size = image.shape[0]
-    for bit in range(bits):
+    for step in range(steps):
         next_row, next_column = line_row + down * chord, line_column + along * chord
         if -2.0 < line_row < size + 1.0 and -2.0 < line_column < size + 1.0:
-            brightness = 255.0 if begin + bit * length < stop else 255.0 * STOPPED_BRIGHTNESS
-            _draw_bit(image, line_row, line_column, next_row, next_column, down, along, chord, brightness)
+            brightness = 255.0 if begin + step * length < stop else 255.0 * STOPPED_BRIGHTNESS
+            _draw_step(image, line_row, line_column, next_row, next_column, down, along, chord, brightness)
         line_row, line_column = next_row, next_column
         if not straight:
             down, along = down * turn_cosine + along * turn_sine, along * turn_cosine - down * turn_sine
 
 
 @inlined
-def _draw_bit(
+def _draw_step(
     image: NDArray[np.uint8],
     row_from: float,
     column_from: float,
@@ -129,7 +129,7 @@ def _draw_bit(
     length: float,
     brightness: float,
 ) -> None:
-    """Draw a straight bit of the line, all in pixels: each pixel by its distance from the bit."""
+    """Draw a straight step of the line, all in pixels: each pixel by its distance from the step."""
     last = image.shape[0] - 1
     first_row = max(math.ceil(min(row_from, row_to) - LINE_REACH), 0)
     last_row = min(math.floor(max(row_from, row_to) + LINE_REACH), last)

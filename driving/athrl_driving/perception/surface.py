@@ -7,8 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import inlined, part
-from athrl_driving.perception.drivable import CELL, HEIGHT_UNIT, LEVEL_HEIGHT, TILE, DrivableMap
+from athrl_driving.kernels.compilation import inlined, part
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
+from athrl_driving.perception.drivable import CELL, HEIGHT_UNIT, TILE, DrivableMap
 from athrl_driving.perception.window import Window
 
 _FINE = 65536.0
@@ -17,8 +18,8 @@ _FINE = 65536.0
 @inlined
 def draw_surface(image: NDArray[np.uint8], window: Window, drivable: DrivableMap, elevation: float) -> None:
     """Fill channel 0 of `image` [size, size, 4] from the grid, smooth between cells; clear the rest."""
-    # The grid's row and column at the image's first pixel. A row further down is a step back along the
-    # heading, a column further right one to the right of it.
+    # The grid's row and column at the image's first pixel. The next row of the image is a step backwards
+    # along the heading, the next column a step to the right.
     forward, right = window.ahead - 0.5 * window.pixel, 0.5 * window.pixel - window.aside
     x = window.x + forward * window.cosine - right * window.sine
     y = window.y + forward * window.sine + right * window.cosine
@@ -55,7 +56,7 @@ def _is_inside(
 
 @inlined
 def _is_level(window: Window, drivable: DrivableMap, elevation: float) -> bool:
-    """Tell whether all that is drivable around the window is at the ego's height."""
+    """Tell whether all drivable cells around the window are at the ego's height."""
     reach = math.hypot(max(window.ahead, 2.0 * window.aside - window.ahead), window.aside)
     rows, columns = drivable.lowest.shape
     side = TILE * CELL
@@ -65,9 +66,9 @@ def _is_level(window: Window, drivable: DrivableMap, elevation: float) -> bool:
     last_column = min(int((window.x + reach - drivable.left) / side), columns - 1)
     for row in range(first_row, last_row + 1):
         for column in range(first_column, last_column + 1):
-            if drivable.lowest[row, column] < elevation - LEVEL_HEIGHT:
+            if drivable.lowest[row, column] < elevation - ROAD_LEVEL_HEIGHT:
                 return False
-            if drivable.highest[row, column] > elevation + LEVEL_HEIGHT:
+            if drivable.highest[row, column] > elevation + ROAD_LEVEL_HEIGHT:
                 return False
     return True
 
@@ -87,7 +88,7 @@ def _sample_level(
     for i in range(image.shape[0]):
         grid_row, grid_column = start_row - i * step_across, start_column - i * step_along
         for j in range(image.shape[1]):
-            # Unsigned, because numba looks at the sign of an index otherwise.
+            # Unsigned, because numba checks the sign of a signed index.
             upper, left = np.uint64(grid_row >> 16), np.uint64(grid_column >> 16)
             lower, right = upper + np.uint64(1), left + np.uint64(1)
             down, aside = (grid_row >> 8) & 255, (grid_column >> 8) & 255
@@ -133,6 +134,6 @@ def _share(drivable: DrivableMap, row: int, column: int, elevation: float) -> fl
         share = drivable.cells[layer, row, column]
         if share == 0:
             return 0.0
-        if abs(drivable.height[layer, row, column] * HEIGHT_UNIT - elevation) <= LEVEL_HEIGHT:
+        if abs(drivable.height[layer, row, column] * HEIGHT_UNIT - elevation) <= ROAD_LEVEL_HEIGHT:
             return float(share)
     return 0.0

@@ -1,9 +1,9 @@
-"""Channel 1, the other vehicles and where they are about to be.
+"""Channel 1, the other vehicles and their predicted positions.
 
-A vehicle's body has 255. Ahead of it lie the places where the body will be if the vehicle keeps its speed
-and its rate of turning: every 0.25 s for two seconds, darker with each, so the brightness of a pixel tells
-how soon it may be taken. A standing vehicle is a bare body. Direction and speed of the others are thus in a
-single image, which a body alone does not show; the ego itself is not drawn.
+A vehicle's body has 255. Ahead of it are the places where the body will be if the vehicle keeps its speed
+and its yaw rate: every 0.25 s for two seconds, each darker than the one before, so the brightness of a pixel
+tells how soon it may be occupied. A standing vehicle is only a body. A single image thus shows direction and
+speed of the others, which a body alone does not; the ego itself is not drawn.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import inlined, part
+from athrl_driving.kernels.compilation import inlined, part
 from athrl_driving.maps.lane_graph import LaneGraph
-from athrl_driving.perception.drivable import LEVEL_HEIGHT
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
 from athrl_driving.perception.window import Window, column_of, forward_of, in_frame, right_of, row_of
 from athrl_driving.traffic.state import Background
 
-FORESIGHT_INTERVAL = 0.25
-"""Time between the drawn places, s."""
+PREDICTION_INTERVAL = 0.25
+"""Time between the predicted positions, s."""
 
-FORESIGHT_STEPS = 8
-"""Places ahead that are drawn."""
+PREDICTION_STEPS = 8
+"""Number of predicted positions that are drawn."""
 
-FORESIGHT_BRIGHTNESS = 176.0
+PREDICTION_BRIGHTNESS = 176.0
 """Brightness of the first of them; the last has an eighth of it."""
 
 STANDING_SPEED = 0.2
@@ -41,7 +41,7 @@ def draw_vehicles(
     graph: LaneGraph,
     vehicles: Background,
 ) -> None:
-    """Draw bodies and foresight on channel 1; a vehicle turns as its speed and its lane's bend make it."""
+    """Draw bodies and predicted positions on channel 1; the yaw rate is speed times lane curvature."""
     x, y, headings, heights = vehicles.x, vehicles.y, vehicles.heading, vehicles.elevation
     speeds, lengths, widths, lanes = vehicles.speed, vehicles.length, vehicles.width, vehicles.lane
     curvature = graph.curvature
@@ -49,25 +49,25 @@ def draw_vehicles(
     for vehicle in range(x.shape[0]):
         forward, right = in_frame(window, x[vehicle], y[vehicle])
         speed = speeds[vehicle]
-        reach = abs(speed) * FORESIGHT_INTERVAL * FORESIGHT_STEPS + lengths[vehicle]
+        reach = abs(speed) * PREDICTION_INTERVAL * PREDICTION_STEPS + lengths[vehicle]
         if abs(right) > window.aside + reach or forward > window.ahead + reach or forward < -behind - reach:
             continue
-        if abs(heights[vehicle] - elevation) > LEVEL_HEIGHT:
+        if abs(heights[vehicle] - elevation) > ROAD_LEVEL_HEIGHT:
             continue
         angle = headings[vehicle] - heading
         half_length, half_width = 0.5 * lengths[vehicle], 0.5 * widths[vehicle]
         turning = speed * curvature[lanes[vehicle]]
         brightness = 255.0
-        for step in range(FORESIGHT_STEPS + 1):
+        for step in range(PREDICTION_STEPS + 1):
             draw_body(image, window, forward, right, angle, half_length, half_width, brightness)
             if abs(speed) < STANDING_SPEED:
                 break
             # The chord of the arc driven in one step lies along the mean of its two headings.
-            middle = angle + 0.5 * turning * FORESIGHT_INTERVAL
-            forward += speed * FORESIGHT_INTERVAL * math.cos(middle)
-            right += speed * FORESIGHT_INTERVAL * math.sin(middle)
-            angle += turning * FORESIGHT_INTERVAL
-            brightness = FORESIGHT_BRIGHTNESS * (FORESIGHT_STEPS - step) / FORESIGHT_STEPS
+            middle = angle + 0.5 * turning * PREDICTION_INTERVAL
+            forward += speed * PREDICTION_INTERVAL * math.cos(middle)
+            right += speed * PREDICTION_INTERVAL * math.sin(middle)
+            angle += turning * PREDICTION_INTERVAL
+            brightness = PREDICTION_BRIGHTNESS * (PREDICTION_STEPS - step) / PREDICTION_STEPS
 
 
 @part
@@ -92,7 +92,7 @@ def draw_body(
     last_row = min(image.shape[0] - 1, math.floor(row_of(window, forward - reach_forward)))
     first_column = max(0, math.ceil(column_of(window, right - reach_right)))
     last_column = min(image.shape[1] - 1, math.floor(column_of(window, right + reach_right)))
-    # In pixels, so that a pixel's share is what the edge leaves of it.
+    # In pixels, so that differences are the covered share of a pixel.
     length, width = outer_length / pixel, outer_width / pixel
     along_step, across_step = cosine / pixel, sine / pixel
     for row in range(first_row, last_row + 1):

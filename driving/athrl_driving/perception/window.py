@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from athrl_driving.compilation import inlined
+from athrl_driving.kernels.compilation import inlined
 
 WINDOW_SIDE = 32.0
-"""Side of the window where nothing else is asked for, m."""
+"""Default side of the window, m."""
 
 EGO_ABOVE_LOWER_EDGE = 12.0
-"""Distance of the ego's centre from the window's lower edge where nothing else is asked for, m."""
+"""Default distance of the ego's centre from the window's lower edge, m."""
 
 
 class Window(NamedTuple):

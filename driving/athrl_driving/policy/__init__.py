@@ -6,6 +6,7 @@ Needs `onnxruntime` (`pip install athrl-driving[policy]`) and nothing that train
 from athrl_driving.policy.artefact import InvalidPolicy
 from athrl_driving.policy.batch import BatchStep, EnvironmentBatch, config_of, environment_config
 from athrl_driving.policy.exploration import Exploration, ExplorationNoise
+from athrl_driving.policy.graph.checks import LARGEST_ARTEFACT
 from athrl_driving.policy.guard import (
     AnyBatch,
     EnvironmentFailure,
@@ -18,6 +19,7 @@ from athrl_driving.policy.runner import OnnxPolicy, PolicyStep
 from athrl_driving.policy.towns import spread_towns
 
 __all__ = [
+    "LARGEST_ARTEFACT",
     "AnyBatch",
     "BatchStep",
     "EnvironmentBatch",

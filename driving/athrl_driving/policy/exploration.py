@@ -1,7 +1,7 @@
-"""Exploration of a batch of environments, as a policy's description asks for it.
+"""Exploration of a batch of environments, as a policy's description specifies it.
 
-Environments of different rank explore differently much. The noise of a number is held in half-ranges and
-scaled to physical units when it is drawn, so that one setting explores every action alike.
+The amount of exploration depends on an environment's rank. Noise of a continuous action is kept in units of
+half its range and scaled to physical units when it is drawn, so one setting explores every action equally.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Exploration:
-    """What one decision of a batch is explored with; both go into `OnnxPolicy.step`.
+    """Exploration of one decision of a batch; both fields are arguments of `OnnxPolicy.step`.
 
     Attributes:
         noise: of each level with a continuous action float32 [batch, n]: physical units, or a standard
             normal number where the policy samples; 0 for choices.
-        forced: of each level that has something to force float32 [batch, n]: numbers in physical units,
-            choices as their index, NaN where the policy decides.
+        forced: of each level with a forced action float32 [batch, n]: numbers in physical units, choices as
+            their index, NaN where the policy decides.
     """
 
     noise: dict[str, NDArray[np.float32]]
@@ -34,12 +34,12 @@ class Exploration:
 class ExplorationNoise:
     """Exploration of each level of a policy.
 
-    Noise has a memory per environment, which an episode's start clears.
+    Noise has a memory for each environment, which is cleared at the start of an episode.
 
     Args:
         description: of the policy.
-        ranks: float64 [batch], 0 where an environment explores the least, 1 where the most.
-        rng: the only source of chance.
+        ranks: float64 [batch], from 0, the least exploration, to 1, the most.
+        rng: the only source of randomness.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class ExplorationNoise:
         self._levels = [_LevelExploration(level, ranks) for level in description.levels]
 
     def reset(self, environment: int) -> None:
-        """Forget the noise of one environment: its episode begins."""
+        """Clear the noise of one environment at the start of its episode."""
         for level in self._levels:
             level.memory[environment] = 0
 
@@ -64,11 +64,11 @@ class ExplorationNoise:
         return Exploration(noise, forced)
 
     def uniform(self) -> Exploration:
-        """Decisions drawn evenly from everything that is possible; all is forced, there is no noise."""
+        """Decisions drawn uniformly from all possible ones; all are forced, there is no noise."""
         return Exploration({}, {level.name: level.uniform(self._rng) for level in self._levels})
 
     def state(self) -> dict[str, Any]:
-        """What `load_state` continues from: the generator's state, each level's memory float64 [batch, n]."""
+        """The state for `load_state`: that of the generator, and each level's memory float64 [batch, n]."""
         memory = {level.name: level.memory.copy() for level in self._levels}
         return {"random": self._rng.bit_generator.state, "memory": memory}
 
@@ -84,7 +84,7 @@ class ExplorationNoise:
 
 
 class _LevelExploration:
-    """Exploration of one level; a sampled number is noise of deviation 1 that forgets everything at once."""
+    """Exploration of one level; a sampled number is noise of deviation 1 without memory."""
 
     def __init__(self, level: LevelDescription, ranks: NDArray[np.float64]) -> None:
         self.name = level.name
@@ -127,12 +127,12 @@ def _choices(action: Action) -> int:
 
 
 def _kept(action: Action) -> float:
-    """Share of the noise that is left at the next decision."""
+    """Share of the noise that remains at the next decision."""
     return 1.0 - action.exploration.damping if isinstance(action.exploration, Noise) else 0.0
 
 
 def _unit(action: Action) -> float:
-    """What a noise of 1 is."""
+    """Physical size of a noise of 1."""
     return (
         action.half_range if isinstance(action.exploration, Noise) and isinstance(action, Continuous) else 1.0
     )

@@ -1,7 +1,7 @@
-"""A batch of environments whose driver outlives them: one that raises or stalls is a failure of its own kind.
+"""A batch of environments that may raise or stall without ending the process that drives them.
 
-A thread cannot be interrupted, so the environments are driven from a thread that can be left behind: what
-does not return within a deadline is abandoned, and a new batch takes its place.
+A thread cannot be interrupted, so the environments are driven from a thread that can be abandoned: a call
+that does not return within a deadline is given up, and a new batch replaces the old one.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import LONGEST_COMPILATION
-from athrl_driving.envs import TownRow
+from athrl_driving.envs import EnvView
 from athrl_driving.errors import DrivingError
+from athrl_driving.kernels.compilation import LONGEST_COMPILATION
 from athrl_driving.policy.batch import BatchStep, EnvironmentBatch
 from athrl_driving.policy.recording import Recording
 
 FIRST_CALL_SECONDS = LONGEST_COMPILATION + 300.0
-"""A process's first step may compile, and wait before that for another process which compiles the same."""
-GLANCE_SECONDS = 0.5
-"""The deadline is counted in such pieces, so that a process which is paused for an hour loses one of them."""
+"""A process's first step may compile, and before that wait for another process that compiles the same."""
+POLL_SECONDS = 0.5
+"""The deadline is counted in such intervals, so a process that is paused for an hour loses one of them."""
 
 _Result = TypeVar("_Result")
 
 
 class EnvironmentFailure(Exception):  # noqa: N818 - the name says what happened
-    """Environments could not be stepped or reset; episodes have to begin in `rows` before the next step.
+    """A step or a reset failed; episodes have to begin in `env_indices` before the next step.
 
-    The text is one line that says what happened.
+    The message is one line that says what happened.
     """
 
-    def __init__(self, text: str, rows: list[int]) -> None:
+    def __init__(self, text: str, env_indices: list[int]) -> None:
         super().__init__(text)
-        self.rows = rows
+        self.env_indices = env_indices
 
 
 class EnvironmentRaised(EnvironmentFailure):
@@ -50,14 +50,14 @@ class EnvironmentStalled(EnvironmentFailure):
 class GuardedBatch:
     """An `EnvironmentBatch` that is replaced when it fails.
 
-    `images`, `motion`, `recording` and `environments` are those of the present batch: take them again after a
+    `images`, `motion`, `recording` and `environments` are those of the present batch: read them again after a
     failure.
 
     Args:
         towns: as for `EnvironmentBatch`, like `config` and `action_kind`.
         config: of the environments.
         action_kind: that they take.
-        seconds: within which a step or a reset returns; longer where it is the first of its kind.
+        seconds: within which a step or a reset returns; the first of its kind may take longer.
         recorded: as for `EnvironmentBatch`.
     """
 
@@ -82,7 +82,7 @@ class GuardedBatch:
 
     @property
     def towns(self) -> list[str]:
-        """Of each environment."""
+        """The town of each environment."""
         return self._batch.towns
 
     @property
@@ -107,34 +107,35 @@ class GuardedBatch:
 
     @property
     def recording(self) -> Recording:
-        """What was seen and earned since each environment's tape was rewound."""
+        """Observations and rewards since each environment's recording buffer was rewound."""
         return self._batch.recording
 
     @property
-    def environments(self) -> list[TownRow]:
+    def environments(self) -> list[EnvView]:
         """Each environment as an object, for drivers and viewers."""
         return self._batch.environments
 
-    def info(self, row: int) -> dict[str, Any]:
-        """What `info` tells of one environment's last decision."""
-        return self._batch.info(row)
+    def info(self, env_index: int) -> dict[str, Any]:
+        """The `info` of one environment's last decision."""
+        return self._batch.info(env_index)
 
-    def reset(self, row: int, seed: int) -> None:
+    def reset(self, env_index: int, seed: int) -> None:
         """Begin a new episode in one environment; raises EnvironmentFailure."""
         batch = self._batch
-        self._guarded(f"reset of environment {row}", lambda: batch.reset(row, seed), [row])
+        what = f"reset of environment {env_index}"
+        self._guarded(what, lambda: batch.reset(env_index, seed), [env_index])
 
     def step(self, actions: NDArray[np.float32], active: NDArray[np.bool_] | None = None) -> BatchStep:
         """Step as `EnvironmentBatch` does; raises EnvironmentFailure."""
-        batch, rows = self._batch, list(range(self._count))
-        return self._guarded("step", lambda: batch.step(actions, active), rows)
+        batch, env_indices = self._batch, list(range(self._count))
+        return self._guarded("step", lambda: batch.step(actions, active), env_indices)
 
     def close(self) -> None:
         """Close the environments and end the thread."""
         self._batch.close()
         self._worker.end()
 
-    def _guarded(self, what: str, call: Callable[[], _Result], rows: list[int]) -> _Result:
+    def _guarded(self, what: str, call: Callable[[], _Result], env_indices: list[int]) -> _Result:
         """Make a call; if it fails, replace what may be broken and raise EnvironmentFailure."""
         try:
             return self._call(what, call)
@@ -144,10 +145,10 @@ class GuardedBatch:
             failure: EnvironmentFailure = EnvironmentStalled(text, list(range(self._count)))
             cause = None
         except Exception as error:
-            if what != "step":  # the others are sound: only this one has no episode
-                raise EnvironmentRaised(_describe(what, error), rows) from error
+            if what != "step":  # the other environments are intact: only this one has no episode
+                raise EnvironmentRaised(_describe(what, error), env_indices) from error
             self._batch.close()
-            failure, cause = EnvironmentRaised(_describe(what, error), rows), error
+            failure, cause = EnvironmentRaised(_describe(what, error), env_indices), error
         self._renew()
         raise failure from cause
 
@@ -169,20 +170,20 @@ def _describe(what: str, error: Exception) -> str:
 
 
 AnyBatch = EnvironmentBatch | GuardedBatch
-"""What drives a batch need not know which of them it is."""
+"""Code that drives a batch works with both."""
 
 
-class _Abandoned(Exception):  # noqa: N818 - a call's own TimeoutError is something else
+class _Abandoned(Exception):  # noqa: N818 - a TimeoutError of the call itself is different
     """A call did not return in time."""
 
 
 class _Worker:
-    """A thread that makes calls one by one, and is left behind with one that does not return."""
+    """A thread that makes calls one by one, and is abandoned with a call that does not return."""
 
     def __init__(self) -> None:
         self._calls: SimpleQueue[Callable[[], Any] | None] = SimpleQueue()
         self._outcomes: SimpleQueue[tuple[Any, Exception | None]] = SimpleQueue()
-        # Told the queues, not the object: what an abandoned call still writes reaches nobody.
+        # The thread knows the queues, not this object: the outcome of an abandoned call is never read.
         threading.Thread(
             target=_serve, args=(self._calls, self._outcomes), name="environments", daemon=True
         ).start()
@@ -193,9 +194,9 @@ class _Worker:
         left = seconds
         while left > 0:
             try:
-                result, error = self._outcomes.get(timeout=min(left, GLANCE_SECONDS))
+                result, error = self._outcomes.get(timeout=min(left, POLL_SECONDS))
             except Empty:
-                left -= GLANCE_SECONDS
+                left -= POLL_SECONDS
                 continue
             if error is not None:
                 raise error
@@ -204,7 +205,7 @@ class _Worker:
         raise _Abandoned
 
     def end(self) -> None:
-        """Have the thread end once its call has returned."""
+        """Let the thread end once its call has returned."""
         self._calls.put(None)
 
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 
 def common_infos(
-    infos: Sequence[Mapping[str, Any]], rows: Sequence[NDArray[np.int64]], count: int
+    infos: Sequence[Mapping[str, Any]], env_indices: Sequence[NDArray[np.int64]], count: int
 ) -> dict[str, Any]:
-    """Put the infos of each vector into its `rows`, int64 [n], of `count`; what a vector lacks is 0 there."""
+    """Merge the infos of vectors, each at its `env_indices`, int64 [n], of `count`; missing values are 0."""
     together: dict[str, Any] = {}
     for key in dict.fromkeys(key for part in infos for key in part):
-        # Metrics come from the few vectors in which an episode has ended: there is nothing to do for others.
-        known = [(part[key], places) for part, places in zip(infos, rows, strict=True) if key in part]
+        # Metrics come only from the few vectors in which an episode has ended.
+        known = [(part[key], places) for part, places in zip(infos, env_indices, strict=True) if key in part]
         values = [value for value, _ in known]
         if isinstance(values[0], dict):
             together[key] = common_infos(values, [places for _, places in known], count)

@@ -1,4 +1,4 @@
-"""What was seen and earned in the environments of a batch, where the simulation has put it."""
+"""Observations and rewards of the environments of a batch, where the simulation has recorded them."""
 
 from __future__ import annotations
 
@@ -7,33 +7,38 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.episode.tape import Tape
+from athrl_driving.episode.recording_buffer import RecordingBuffer
 
 
 class Recording:
-    """The last decisions of each environment, as many as are recorded; views that change with every step.
+    """The last recorded decisions of each environment; views that change with every step.
 
-    A driver that takes its decisions out in time, by `rewind`, misses none. A reset begins at the beginning.
+    A caller that removes decisions in time, by `rewind`, misses none. A reset starts the recording again.
 
     Attributes:
-        images: uint8 [count, recorded + 1, H, W, C]; row n of an environment is what was seen after n
-            decisions, row 0 before the first.
-        motion: float32 [count, recorded + 1, m] that goes with it.
-        rewards: float32 [count, recorded + 1], likewise of the decision before; row 0 is of one that is out.
+        images: uint8 [count, recorded + 1, H, W, C]; row n of an environment is the observation after n
+            decisions, row 0 that before the first.
+        motion: float32 [count, recorded + 1, m] that belongs to the images.
+        rewards: float32 [count, recorded + 1] of the decision before each observation; that in row 0 belongs
+            to a decision that has been removed.
         terms: float32 [count, recorded + 1, 7], the rewards' terms as `athrl_spaces.REWARD_TERMS` names them.
     """
 
-    def __init__(self, tape: Tape, image_shape: tuple[int, ...]) -> None:
-        self._tape = tape
-        self.images: NDArray[np.uint8] = tape.images.reshape(*tape.images.shape[:2], *image_shape)
-        self.motion, self.rewards, self.terms = tape.motion, tape.rewards, tape.terms
+    def __init__(self, buffer: RecordingBuffer, image_shape: tuple[int, ...]) -> None:
+        self._buffer = buffer
+        self.images: NDArray[np.uint8] = buffer.images.reshape(*buffer.images.shape[:2], *image_shape)
+        self.motion, self.rewards, self.terms = (
+            buffer.motion,
+            buffer.rewards,
+            buffer.terms,
+        )
 
     def state(self) -> dict[str, NDArray]:
-        """What `load_state` goes on from: copies."""
+        """The state for `load_state`: copies."""
         return {name: column.copy() for name, column in self._columns().items()}
 
     def load_state(self, state: Mapping[str, NDArray]) -> None:
-        """Hold what the recording held that `state` is of.
+        """Restore the recording that `state` was taken from.
 
         Raises:
             KeyError, ValueError: `state` does not fit.
@@ -47,13 +52,14 @@ class Recording:
             "motion": self.motion,
             "rewards": self.rewards,
             "terms": self.terms,
-            "first": self._tape.first,
+            "first": self._buffer.first,
         }
 
-    def rewind(self, row: int, decisions: int) -> None:
-        """Take the first `decisions` of an environment out: what was seen after them is in row 0 from now on.
+    def rewind(self, env_index: int, decisions: int) -> None:
+        """Remove the first `decisions` of an environment: the observation after them moves to row 0.
 
-        There must be no more than these.
+        The environment must have recorded no more than these.
         """
-        self.images[row, 0], self.motion[row, 0] = self.images[row, decisions], self.motion[row, decisions]
-        self._tape.first[row] += decisions
+        images, motion = self.images[env_index], self.motion[env_index]
+        images[0], motion[0] = images[decisions], motion[decisions]
+        self._buffer.first[env_index] += decisions

@@ -8,21 +8,21 @@ from pathlib import Path
 
 import numpy as np
 from athrl_spaces import Discrete, LevelDescription
+from athrl_spaces.untrusted import UntrustedFile, one_line, read_untrusted
 from numpy.typing import NDArray
 
-from athrl_driving.policy.artefact import InvalidPolicy, open_artefact, takes_noise
-
-LARGEST_ARTEFACT = 1 << 30  # bytes; beyond this a file is surely not a policy
+from athrl_driving.policy.artefact import Artefact, InvalidPolicy, takes_noise
+from athrl_driving.policy.graph.checks import LARGEST_ARTEFACT
 
 Arrays = Mapping[str, NDArray[np.float32]]
 """An array for each level, or for some of them, by the level's name."""
 
-_ROUNDING = 1e-4  # of a range, by which what a graph has clipped may lie beyond
+_ROUNDING = 1e-4  # share of a range by which clipped values may exceed it
 
 
 @dataclass(frozen=True)
 class PolicyStep:
-    """What a policy decided, and the states to go into its next step.
+    """What a policy decided, and the states for its next step.
 
     Attributes:
         actions: of each level float32 [batch, n], physical units, or the index of a choice.
@@ -34,15 +34,16 @@ class PolicyStep:
 
 
 class OnnxPolicy:
-    """A policy artefact, ready to drive; recurrent states are the caller's, so policies can be switched.
+    """A policy artefact, ready to run; the caller keeps the recurrent states, so policies can be switched.
 
     Attributes:
         description: what it sees and decides.
     """
 
     def __init__(self, artefact: bytes, threads: int = 1) -> None:
-        """Take the artefact's bytes; raises InvalidPolicy if they are not a policy."""
-        self._session, self.description = open_artefact(artefact, threads)
+        """Load an artefact's bytes; raises InvalidPolicy if they are not a policy."""
+        self._artefact = Artefact(artefact, threads)
+        self.description = self._artefact.description
         levels = self.description.levels
         self._outputs = [level.name for level in levels]
         self._outputs += [f"next_{level.name}_state" for level in levels if level.state_size]
@@ -51,12 +52,11 @@ class OnnxPolicy:
     def load(cls, path: Path | str, threads: int = 1) -> OnnxPolicy:
         """Read a policy file; raises InvalidPolicy, naming the file."""
         try:
-            path = Path(path)
-            if path.stat().st_size > LARGEST_ARTEFACT:
-                raise InvalidPolicy("it is larger than 1 GiB")
-            return cls(path.read_bytes(), threads)
-        except OSError as error:
-            raise InvalidPolicy(f"cannot read the policy {path}: {error.strerror}") from None
+            content = read_untrusted(path, LARGEST_ARTEFACT)
+        except UntrustedFile as error:
+            raise InvalidPolicy(f"the policy {one_line(str(path))} {error}") from None
+        try:
+            return cls(content, threads)
         except InvalidPolicy as error:
             raise InvalidPolicy(f"{path} is not a policy: {error}") from None
 
@@ -74,7 +74,7 @@ class OnnxPolicy:
         noise: Arrays | None = None,
         forced: Arrays | None = None,
     ) -> PolicyStep:
-        """Decide for a batch; a level sees what those above it decided, with its noise or as it was forced.
+        """Decide for a batch; a level sees the actions of those above it, with noise or as they were forced.
 
         Args:
             images: uint8 [batch, height, width, channels].
@@ -82,14 +82,16 @@ class OnnxPolicy:
             states: of each level with memory float32 [batch, state_size].
             noise: float32 [batch, n] of levels with a continuous action: physical units, or a standard normal
                 number for an action that is sampled; none for a level that is missing.
-            forced: float32 [batch, n] of any level, NaN where it is free; what lies beyond a range is taken
-                as its nearest bound. A level that is missing is free.
+            forced: float32 [batch, n] of any level, NaN where it is free; a value beyond a range is taken
+                as the nearest bound. A level that is missing is free.
 
         Raises:
-            InvalidPolicy: the policy returned what is not finite or beyond its ranges.
+            InvalidPolicy: the policy returned values that are not finite or beyond their ranges, cannot be
+                run, or would take too much memory or time for so many environments.
         """
+        self._artefact.check_batch(len(images))
         feed = self._feed(images, motion, states, noise or {}, forced or {})
-        values = dict(zip(self._outputs, self._session.run(self._outputs, feed), strict=True))
+        values = dict(zip(self._outputs, self._artefact.run(self._outputs, feed), strict=True))
         actions, following = {}, {}
         for level in self.description.levels:
             actions[level.name] = values[level.name]
@@ -129,7 +131,7 @@ def _check_finite(values: NDArray[np.float32]) -> None:
 
 
 def _check_actions(level: LevelDescription, values: NDArray[np.float32]) -> None:
-    """Refuse what the level cannot have decided."""
+    """Refuse values beyond the ranges of the level's actions."""
     _check_finite(values)
     room = _ROUNDING * (level.high - level.low)
     within = (values >= level.low - room) & (values <= level.high + room)

@@ -1,4 +1,4 @@
-"""Which of the environments of a batch drive in which town, and how much each of them explores."""
+"""Which environments of a batch drive in which town, and how much each of them explores."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 def spread_towns(shares: Mapping[str, float], count: int) -> list[str]:
     """The town of each of `count` environments, by the largest remainder of the shares, interleaved.
 
-    A town with a share gets one environment at least, as far as there are as many as towns. Of equal
-    remainders the first counts.
+    A town with a share gets at least one environment, if there are as many as towns. Of equal remainders the
+    first takes precedence.
 
     Args:
-        shares: by a town's name or the path of a map; they need not sum to 1.
+        shares: by town name or path of a map; they need not sum to 1.
         count: of environments.
 
     Raises:
-        ValueError: a share is no finite number from 0 on, none is above 0, or `count` is negative.
+        ValueError: a share is negative or not finite, none is above 0, or `count` is negative.
     """
     for town, share in shares.items():
         if not (math.isfinite(share) and share >= 0):
@@ -32,7 +32,7 @@ def spread_towns(shares: Mapping[str, float], count: int) -> list[str]:
     if count < 0:
         raise ValueError(f"the number of environments is {count}; it should be 0 or more")
     numbers = _numbers({town: share / total for town, share in shares.items() if share > 0}, count)
-    # The k-th of n environments of a town stands at (k + 1/2) / n of the batch: evenly, whatever n is.
+    # The k-th of n environments of a town is placed at (k + 1/2) / n of the batch: evenly for any n.
     places = [((k + 0.5) / n, town) for town, n in numbers.items() for k in range(n)]
     return [town for _, town in sorted(places, key=lambda place: place[0])]
 
@@ -51,8 +51,8 @@ def _numbers(shares: Mapping[str, float], count: int) -> dict[str, int]:
     return numbers
 
 
-def rows_of_towns(towns: Sequence[str]) -> dict[str, NDArray[np.int64]]:
-    """The environments of each town, int64 [n], in the order in which the towns come."""
+def environments_of_towns(towns: Sequence[str]) -> dict[str, NDArray[np.int64]]:
+    """The indices of each town's environments, int64 [n], in the order in which the towns first occur."""
     names = np.array(towns, dtype=object)
     return {town: np.flatnonzero(names == town) for town in dict.fromkeys(towns)}
 
@@ -60,6 +60,6 @@ def rows_of_towns(towns: Sequence[str]) -> dict[str, NDArray[np.int64]]:
 def ranks_within_towns(towns: Sequence[str]) -> NDArray[np.float64]:
     """Rank of each environment among those of its town, float64 [count], evenly from 0 to 1."""
     spread = np.zeros(len(towns))
-    for rows in rows_of_towns(towns).values():
-        spread[rows] = ranks(len(rows))
+    for indices in environments_of_towns(towns).values():
+        spread[indices] = ranks(len(indices))
     return spread

@@ -1,15 +1,26 @@
-"""The ego's route: lines and arcs along the lanes and across them, 12 waypoints 5 m apart, the ego's place.
+"""The ego's route: lines and arcs along and across lanes, 12 waypoints 5 m apart, the ego's position.
 
-Where the road forks, the way is that of a plan found by search, or turns are drawn at random.
+Where the road forks, the route follows a plan found by search, or turns are drawn at random, off the map only
+where there is no other way. There the route ends.
 """
 
-from athrl_driving.route.following import (
+from athrl_driving.route.search import plan_length, shortest_route
+from athrl_driving.route.state import (
+    CURVATURE,
+    PLAN_LANES,
+    RouteState,
+    dead_end_distance,
+    environment_route,
+    new_routes,
+)
+from athrl_driving.route.tracking import (
     KEPT_BEHIND,
     LANES_AHEAD,
     WAYPOINT_SPACING,
     WAYPOINTS_KNOWN,
     follow,
     has_arrived,
+    has_ended,
     heading_of_nearest_waypoint,
     lanes_ahead,
     route_pose,
@@ -17,22 +28,13 @@ from athrl_driving.route.following import (
     start_routes,
     waypoints,
 )
-from athrl_driving.route.search import plan_length, shortest_route
-from athrl_driving.route.state import (
-    CURVATURE,
-    PLAN_ROWS,
-    RouteState,
-    dead_end_distance,
-    environment_route,
-    new_routes,
-)
 from athrl_driving.route.view import Route
 
 __all__ = [
     "CURVATURE",
     "KEPT_BEHIND",
     "LANES_AHEAD",
-    "PLAN_ROWS",
+    "PLAN_LANES",
     "WAYPOINTS_KNOWN",
     "WAYPOINT_SPACING",
     "Route",
@@ -41,6 +43,7 @@ __all__ = [
     "environment_route",
     "follow",
     "has_arrived",
+    "has_ended",
     "heading_of_nearest_waypoint",
     "lanes_ahead",
     "new_routes",

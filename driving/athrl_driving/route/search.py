@@ -1,4 +1,4 @@
-"""The shortest way through a town: Dijkstra's search over the lanes and the changes between them."""
+"""The shortest route through a town: Dijkstra's search over the lanes and the lane changes between them."""
 
 from __future__ import annotations
 
@@ -8,85 +8,86 @@ from itertools import pairwise
 
 import numpy as np
 
-from athrl_driving.compilation import compiled, inlined
 from athrl_driving.errors import DrivingError
+from athrl_driving.kernels.compilation import compiled, inlined
 from athrl_driving.maps.lane_graph import Integers, LaneGraph
 
 CHANGE_COST = 30.0
-"""Metres of detour that are worth one lane change less."""
+"""Metres that a lane change costs: a detour of this length is as good as one lane change."""
 
 _ROOM_WANTED = 60.0
 _COST_OF_MISSING_ROOM = 10.0
 
 
 @inlined
-def change_cost(graph: LaneGraph, row: int) -> float:
-    """Return the metres that a lane change from `row` counts: short rows are avoided."""
-    return CHANGE_COST + _COST_OF_MISSING_ROOM * max(_ROOM_WANTED - graph.length[row], 0.0)
+def change_cost(graph: LaneGraph, lane: int) -> float:
+    """Return the cost (m) of a lane change from `lane`: greater on short lanes, so these are avoided."""
+    return CHANGE_COST + _COST_OF_MISSING_ROOM * max(_ROOM_WANTED - graph.length[lane], 0.0)
 
 
 def shortest_route(graph: LaneGraph, origin: int, destination: int, *, around: bool = False) -> Integers:
-    """Return the rows, int64 [n], of the shortest way from one row to another, both included.
+    """Return the lanes, int64 [n], of the shortest route from one lane to another, both included.
 
-    Each row is a successor or a neighbour of the one before. With `around` a way from a row to itself leaves
-    it and comes back. Raises ValueError in one line for a row that does not exist or cannot be reached.
+    Each lane is a successor or a neighbour of the one before. With `around` a route from a lane to itself
+    leaves it and comes back. Raises ValueError in one line for a lane that does not exist or cannot be
+    reached.
     """
-    rows = graph.length.size
-    for name, row in (("origin", origin), ("destination", destination)):
-        if not 0 <= row < rows:
-            raise DrivingError(f"the {name} is lane {row}, it should be a lane from 0 to {rows - 1}")
+    count = graph.length.size
+    for name, lane in (("origin", origin), ("destination", destination)):
+        if not 0 <= lane < count:
+            raise DrivingError(f"the {name} is lane {lane}, it should be a lane from 0 to {count - 1}")
     if origin == destination and not around:
         return np.array([origin], dtype=np.int64)
     before = search_back(graph, origin, destination)
     if before[destination] < 0:
         raise DrivingError(f"no way leads from lane {origin} to lane {destination} of the map")
-    way = [destination, int(before[destination])]
-    while way[-1] != origin:
-        way.append(int(before[way[-1]]))
-    return np.array(way[::-1], dtype=np.int64)
+    route = [destination, int(before[destination])]
+    while route[-1] != origin:
+        route.append(int(before[route[-1]]))
+    return np.array(route[::-1], dtype=np.int64)
 
 
 def plan_length(graph: LaneGraph, plan: Integers, start: float, destination: float) -> float:
-    """Metres along a plan from `start` m along its first row to `destination` m along its last."""
+    """Return the metres along a plan from `start` m on its first lane to `destination` m on its last."""
     length = destination - start
-    for row, following in pairwise(plan):
-        # A row that is left for the one beside it goes on there at the same place.
-        if following not in (graph.left[row], graph.right[row]):
-            length += float(graph.length[row])
+    for lane, following in pairwise(plan):
+        # A lane change continues at the same place on the lane beside.
+        if following not in (graph.left[lane], graph.right[lane]):
+            length += float(graph.length[lane])
     return length
 
 
 @compiled
 def search_back(graph: LaneGraph, origin: int, destination: int) -> Integers:
-    """Return int64 [L]: the row before each on the shortest way from `origin`, -1 where it was not needed.
+    """Return int64 [L]: the lane before each on the shortest route from `origin`, -1 where not reached.
 
-    A row's cost is its length; ends when `destination` has been settled, which may be the origin again.
+    A lane's cost is its length; ends when `destination` has been settled, which may be the origin again.
     """
-    rows = graph.length.shape[0]
-    distance = np.full(rows, math.inf)
-    before = np.full(rows, -1)
-    settled = np.zeros(rows, np.bool_)
+    count = graph.length.shape[0]
+    distance = np.full(count, math.inf)
+    before = np.full(count, -1)
+    settled = np.zeros(count, np.bool_)
     queue = [(0.0, origin)]
     leaving = True
     while len(queue) > 0:
-        so_far, row = heapq.heappop(queue)
-        if not leaving and row == destination:
+        so_far, lane = heapq.heappop(queue)
+        if not leaving and lane == destination:
             break
-        if settled[row] and row != origin:
+        if settled[lane] and lane != origin:
             continue
-        if not leaving and row == origin:
+        if not leaving and lane == origin:
             continue
-        settled[row] = not leaving
+        settled[lane] = not leaving
         leaving = False
-        for index in range(graph.successor_start[row], graph.successor_start[row + 1] + 2):
-            step = index - graph.successor_start[row + 1]
+        for index in range(graph.successor_start[lane], graph.successor_start[lane + 1] + 2):
+            step = index - graph.successor_start[lane + 1]
             if step < 0:
-                other, cost = graph.successor[index], graph.length[row]
+                other, cost = graph.successor[index], graph.length[lane]
             else:
-                other = graph.left[row] if step == 0 else graph.right[row]
-                cost = change_cost(graph, row)
+                other = graph.left[lane] if step == 0 else graph.right[lane]
+                cost = change_cost(graph, lane)
             if other >= 0 and so_far + cost < distance[other]:
                 distance[other] = so_far + cost
-                before[other] = row
+                before[other] = lane
                 heapq.heappush(queue, (distance[other], other))
     return before

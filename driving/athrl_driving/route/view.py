@@ -1,13 +1,14 @@
-"""A route as an object, for who is not a kernel: drivers, scenes, tests."""
+"""A route as an object for Python: drivers, scenes, tests."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.compilation import compiled, prepare
+from athrl_driving.kernels.compilation import compiled, prepare
 from athrl_driving.maps.lane_graph import Integers, LaneGraph
-from athrl_driving.route.following import (
+from athrl_driving.route.state import LENGTH, START_POSITION, RouteState, new_routes
+from athrl_driving.route.tracking import (
     LANES_AHEAD,
     environment_route,
     follow,
@@ -17,13 +18,12 @@ from athrl_driving.route.following import (
     start_routes,
     waypoints,
 )
-from athrl_driving.route.state import LENGTH, START_POSITION, RouteState, new_routes
 
 _NO_PLAN = np.empty(0, dtype=np.int64)
 
 
 class Route:
-    """Where the ego is to go, and where on it the ego is: a view of one environment's row of the arrays.
+    """The ego's route and the ego's position on it: a view of one environment's part of the arrays.
 
     Positions are metres along the route from where the episode began; it grows ahead as the ego drives.
     """
@@ -31,8 +31,8 @@ class Route:
     def __init__(
         self, graph: LaneGraph, lane: int, lane_position: float, generator: np.random.Generator
     ) -> None:
-        """Start a route of its own with random turns, `lane_position` metres along a row of the graph."""
-        self._see(graph, new_routes(graph, 1), 0)
+        """Start a route in its own arrays with random turns, `lane_position` metres along a lane."""
+        self._attach(graph, new_routes(graph, 1), 0)
         seed = np.uint64(generator.integers(2**63))
         start_routes(graph, self.routes, 0, lane, float(lane_position), seed, _NO_PLAN, 0.0)
 
@@ -40,33 +40,36 @@ class Route:
     def of_environment(cls, graph: LaneGraph, routes: RouteState, environment: int) -> Route:
         """View the route of one environment of a batch."""
         route = cls.__new__(cls)
-        route._see(graph, routes, environment)
+        route._attach(graph, routes, environment)
         return route
 
     @classmethod
     def planned(
         cls, graph: LaneGraph, plan: Integers, start: float, destination: float, seed: int = 0
     ) -> Route:
-        """Start a route of its own along rows, from `start` m on the first to `destination` m on the last."""
+        """Start a route in its own arrays along a plan.
+
+        `start` is m along the plan's first lane, `destination` is m along its last.
+        """
         route = cls.of_environment(graph, new_routes(graph, 1), 0)
         start_routes(graph, route.routes, 0, int(plan[0]), start, np.uint64(seed), plan, destination)
         return route
 
     @staticmethod
     def prepare(graph: LaneGraph, routes: RouteState) -> None:
-        """Compile what drivers and viewers call, or load it, so that they do not wait for it."""
+        """Compile or load what drivers and viewers call, so that they do not wait for it later."""
         prepare(_waypoints, routes, 0)
         prepare(_lanes_ahead, graph, routes, 0, np.empty(LANES_AHEAD, dtype=np.int64))
-        prepare(poses_on_route, routes.pieces[0], 0, np.empty(0))
+        prepare(poses_on_route, routes.segments[0], 0, np.empty(0))
 
-    def _see(self, graph: LaneGraph, routes: RouteState, environment: int) -> None:
+    def _attach(self, graph: LaneGraph, routes: RouteState, environment: int) -> None:
         self.graph = graph
         self.routes = routes
         self.environment = environment
 
     @property
     def position(self) -> float:
-        """Where the ego is along the route, m."""
+        """The ego's position along the route, m."""
         return float(self.routes.position[self.environment])
 
     @property
@@ -80,41 +83,46 @@ class Route:
         return float(self.routes.arrival[self.environment])
 
     @property
-    def pieces(self) -> NDArray[np.float64]:
-        """float64 [n, 6]: x, y, heading, curvature, length, metres along the route of each known piece."""
-        return self.routes.pieces[self.environment, : self._count]
+    def end(self) -> float:
+        """Where no lane follows, as at the map's edge, m along the route; infinite while it goes on."""
+        return float(self.routes.end[self.environment])
+
+    @property
+    def segments(self) -> NDArray[np.float64]:
+        """float64 [n, 6]: x, y, heading, curvature, length, metres along the route of each known segment."""
+        return self.routes.segments[self.environment, : self._count]
 
     @property
     def lanes(self) -> NDArray[np.int64]:
-        """int64 [n]: the lane graph's row of each piece; while changing lanes the one that is changed to."""
-        return self.routes.row[self.environment, : self._count]
+        """int64 [n]: the lane of each segment; during a lane change the new lane."""
+        return self.routes.lane[self.environment, : self._count]
 
     @property
     def starts(self) -> NDArray[np.float64]:
-        """float64 [n + 1]: where along the route each piece starts and the last one ends, m."""
-        pieces = self.pieces
-        end = pieces[-1, START_POSITION] + pieces[-1, LENGTH]
-        return np.append(pieces[:, START_POSITION], end)
+        """float64 [n + 1]: where along the route each segment starts and the last one ends, m."""
+        segments = self.segments
+        end = segments[-1, START_POSITION] + segments[-1, LENGTH]
+        return np.append(segments[:, START_POSITION], end)
 
     @property
     def index(self) -> int:
-        """The piece that the ego is on."""
-        return int(self.routes.ego_piece[self.environment])
+        """The segment that the ego is on."""
+        return int(self.routes.ego_segment[self.environment])
 
     @property
     def lane(self) -> int:
-        """Row of the lane that the ego is on or is changing to."""
+        """The lane that the ego is on or is changing to."""
         return int(self.lanes[self.index])
 
     @property
     def lanes_ahead(self) -> NDArray[np.int64]:
         """int64 [n]: the ego's lane and those that follow."""
-        rows = np.empty(LANES_AHEAD, dtype=np.int64)
-        _lanes_ahead(self.graph, self.routes, self.environment, rows)
-        return rows[rows >= 0]
+        lanes = np.empty(LANES_AHEAD, dtype=np.int64)
+        _lanes_ahead(self.graph, self.routes, self.environment, lanes)
+        return lanes[lanes >= 0]
 
     def advance(self, x: float, y: float) -> bool:
-        """Take the ego's new place, m; whether it is on another lane than before."""
+        """Update the route for the ego's new place, m; tell whether it is on another lane than before."""
         lane = self.lane
         _follow(self.graph, self.routes, self.environment, x, y)
         return self.lane != lane
@@ -127,19 +135,19 @@ class Route:
         """Heading of the waypoint nearest to the ego along the route, rad."""
         return float(_heading(self.routes, self.environment))
 
-    def place_on_row(self, position: float) -> float:
-        """Metres along the lane graph's row at a position on the route, m; about so while changing lanes."""
-        piece = int(np.searchsorted(self.starts[1:-1], position, side="right"))
-        start = self.pieces[piece, START_POSITION]
-        return float(self.routes.row_start[self.environment, piece] + position - start)
+    def place_on_lane(self, position: float) -> float:
+        """Return the metres along the lane at a position (m); approximate during a lane change."""
+        segment = int(np.searchsorted(self.starts[1:-1], position, side="right"))
+        start = self.segments[segment, START_POSITION]
+        return float(self.routes.lane_start[self.environment, segment] + position - start)
 
     def poses(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """float64 [n, 3]: x, y (m) and heading (rad) at ascending positions on the route, m."""
-        return poses_on_route(self.routes.pieces[self.environment], self._count, positions)
+        return poses_on_route(self.routes.segments[self.environment], self._count, positions)
 
     @property
     def _count(self) -> int:
-        return int(self.routes.piece_count[self.environment])
+        return int(self.routes.segment_count[self.environment])
 
 
 @compiled
@@ -158,5 +166,5 @@ def _heading(routes: RouteState, environment: int) -> float:
 
 
 @compiled
-def _lanes_ahead(graph: LaneGraph, routes: RouteState, environment: int, rows: Integers) -> None:
-    lanes_ahead(graph, environment_route(routes, environment), rows)
+def _lanes_ahead(graph: LaneGraph, routes: RouteState, environment: int, lanes: Integers) -> None:
+    lanes_ahead(graph, environment_route(routes, environment), lanes)

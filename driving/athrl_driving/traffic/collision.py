@@ -1,13 +1,12 @@
-"""Do two vehicles touch? The separating-axis test, which decides as highway-env's polygon test does."""
+"""Whether two vehicles touch: a separating-axis test with the results of highway-env's polygon test."""
 
 import math
 
-from athrl_driving.compilation import compiled
+from athrl_driving.kernels.compilation import compiled
 from athrl_driving.maps.lane_graph import Floats
-from athrl_driving.traffic.columns import NOBODY, Background
-
-LEVEL_HEIGHT = 2.5
-"""Metres of elevation above which two vehicles are on different levels of a road."""
+from athrl_driving.maps.levels import VEHICLE_LEVEL_HEIGHT
+from athrl_driving.traffic.columns import NONE, Background
+from athrl_driving.traffic.ego_columns import ELEVATION, HEADING, LENGTH, WIDTH, X, Y
 
 
 @compiled
@@ -33,12 +32,12 @@ def rectangles_touch(
 
 @compiled
 def first_touched(background: Background, ego: Floats) -> int:
-    """Return the first vehicle of an environment's view that the ego (`EGO_FIELDS`) touches, or -1."""
-    for row in range(background.x.shape[0]):
-        if abs(background.elevation[row] - ego[6]) <= LEVEL_HEIGHT and rectangles_touch(
-            ego[0], ego[1], ego[2], ego[4], ego[5],
-            background.x[row], background.y[row], background.heading[row],
-            background.length[row], background.width[row],
+    """Return the first vehicle of an environment's view that the ego (`ego_columns`) touches, or -1."""
+    for vehicle in range(background.x.shape[0]):
+        if abs(background.elevation[vehicle] - ego[ELEVATION]) <= VEHICLE_LEVEL_HEIGHT and rectangles_touch(
+            ego[X], ego[Y], ego[HEADING], ego[LENGTH], ego[WIDTH],
+            background.x[vehicle], background.y[vehicle], background.heading[vehicle],
+            background.length[vehicle], background.width[vehicle],
         ):  # fmt: skip
-            return row
-    return NOBODY
+            return vehicle
+    return NONE

@@ -1,8 +1,8 @@
-"""How well traffic flows, measured: speed beside that on an empty road, standstill, and collisions.
+"""Measures how well traffic flows: speed relative to an empty road, standstill, and collisions.
 
-*Free flow* is what each vehicle would reach if it were alone and lost nothing: on every metre of its path the
-least of its desired speed, the speed limit and what the curve allows. The share of free flow is the time that
-the driven metres would have taken so, over the time that they took.
+*Free flow* is the speed that each vehicle would reach alone and without acceleration losses: on every metre
+of its path the least of its desired speed, the speed limit and what the curve allows. The share of free flow
+is the time that the driven metres would have taken at that speed, divided by the time that they took.
 """
 
 import math
@@ -10,10 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athrl_driving.compilation import compiled, compiled_once, inner, prepare
+from athrl_driving.kernels.compilation import compiled, compiled_once, inner, prepare
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats, Integers
-from athrl_driving.traffic.columns import EGO_FIELDS, Background, Traffic
+from athrl_driving.maps.levels import VEHICLE_LEVEL_HEIGHT
+from athrl_driving.traffic.columns import Background, Traffic
+from athrl_driving.traffic.ego_columns import EGO_SIZE
 from athrl_driving.traffic.spawn import place_vehicles
 from athrl_driving.traffic.state import environment_traffic, new_traffic
 from athrl_driving.traffic.tick import advance
@@ -24,15 +26,17 @@ TICK = 0.1
 STANDING = 0.1
 """m/s below which a vehicle stands."""
 
+STUCK = 30.0
+"""Seconds of standing after which a vehicle counts as stuck, where no light is red for it."""
+
 _COMPILE_SECONDS = 30
-_LEVEL_HEIGHT = 2.5
 _COUNTS = 2
 _SUMS = 4
 
 
 @dataclass(frozen=True)
 class Flow:
-    """What was measured; speeds in m/s, times in s."""
+    """The measured values; speeds in m/s, times in s."""
 
     mean_speed: float
     free_flow_speed: float
@@ -42,10 +46,12 @@ class Flow:
     colliding_pairs: int
     """Pairs that overlap, summed over all ticks."""
     lane_changes: int
+    stuck: int
+    """Vehicles that at the end have stood for longer than `patience`."""
 
     @property
     def share_of_free_flow(self) -> float:
-        """How near to free flow the traffic drives, 0 to 1."""
+        """The mean speed as a share of that in free flow, 0 to 1."""
         return self.mean_speed / self.free_flow_speed if self.free_flow_speed > 0.0 else 1.0
 
 
@@ -55,7 +61,7 @@ def measure_flow(town: Town, vehicles: int, seed: int, minutes: float) -> Flow:
     Raises `ValueError` where the town has no room for the vehicles.
     """
     traffic = new_traffic(town, 1, vehicles)
-    place_vehicles(traffic, 0, np.random.default_rng(seed), None, 0.0, np.zeros(EGO_FIELDS))
+    place_vehicles(traffic, 0, np.random.default_rng(seed), None, 0.0, np.zeros(EGO_SIZE))
     ticks = round(60.0 * minutes / TICK)
     standing, sums, counts = np.zeros(vehicles), np.zeros(_SUMS), np.zeros(_COUNTS, dtype=np.int64)
     with compiled_once(drive_and_check, "the measurement of traffic", _COMPILE_SECONDS):
@@ -70,53 +76,61 @@ def measure_flow(town: Town, vehicles: int, seed: int, minutes: float) -> Flow:
         mean_standing=stood / time if time else 0.0,
         colliding_pairs=int(counts[0]),
         lane_changes=int(counts[1]),
+        stuck=int((standing > patience(town)).sum()),
     )
+
+
+def patience(town: Town) -> float:
+    """Return the seconds after which a vehicle that stands is stuck: half a minute, and the longest red."""
+    signals = town.signals
+    green = (signals.green_until - signals.green_from) % np.maximum(signals.cycle, TICK)
+    return STUCK + float((signals.cycle - green).max(initial=0.0))
 
 
 @compiled
 def drive(traffic: Traffic, ticks: int) -> None:
-    """Let environment 0 drive without an ego, for whoever takes the time."""
+    """Let environment 0 drive without an ego, for measuring how long it takes."""
     view = environment_traffic(traffic, 0)
-    ego, path = np.zeros(EGO_FIELDS), np.full(1, -1)
+    ego, path = np.zeros(EGO_SIZE), np.full(1, -1)
     for _ in range(ticks):
         advance(view, ego, path, TICK)
 
 
 @compiled
 def drive_and_check(traffic: Traffic, ticks: int, standing: Floats, sums: Floats, counts: Integers) -> None:
-    """Let environment 0 drive, and add up what happens.
+    """Let environment 0 drive, and add up what happens in it.
 
     `standing` [N] is how long each vehicle has stood. `sums`: m driven, s that they take in free flow, the
     longest standstill (s), s stood in all. `counts`: pairs that overlap, lane changes.
     """
     view = environment_traffic(traffic, 0)
-    ego, path = np.zeros(EGO_FIELDS), np.full(1, -1)
-    background, pace = view.background, view.rails.pace
+    ego, path = np.zeros(EGO_SIZE), np.full(1, -1)
+    background, pace = view.background, view.lane_links.pace
     vehicles = background.speed.shape[0]
     changing = np.zeros(vehicles, np.bool_)
     for _ in range(ticks):
-        for row in range(vehicles):
-            # As traffic moves, at the speed from before the tick.
-            speed = background.speed[row]
+        for vehicle in range(vehicles):
+            # Traffic moves with the speed from before the tick.
+            speed = background.speed[vehicle]
             sums[0] += speed * TICK
-            sums[1] += speed * TICK / min(background.desired_speed[row], pace[background.lane[row]])
-            standing[row] = standing[row] + TICK if speed < STANDING else 0.0
-            sums[2] = max(sums[2], standing[row])
+            sums[1] += speed * TICK / min(background.desired_speed[vehicle], pace[background.lane[vehicle]])
+            standing[vehicle] = standing[vehicle] + TICK if speed < STANDING else 0.0
+            sums[2] = max(sums[2], standing[vehicle])
             sums[3] += TICK if speed < STANDING else 0.0
         advance(view, ego, path, TICK)
-        for row in range(vehicles):
-            now_changing = view.lane_changes.over[row] > 0.0
-            counts[1] += now_changing and not changing[row]
-            changing[row] = now_changing
+        for vehicle in range(vehicles):
+            now_changing = view.lane_changes.distance[vehicle] > 0.0
+            counts[1] += now_changing and not changing[vehicle]
+            changing[vehicle] = now_changing
         counts[0] += overlapping_pairs(background)
 
 
 @compiled
 def overlapping_pairs(background: Background) -> int:
-    """Count the pairs of an environment's view whose bodies overlap, each pair looked at by itself.
+    """Count the pairs of an environment's view whose bodies overlap.
 
-    Of two rectangles that overlap one has a corner in the other or two of their edges cross; which is another
-    test than the one that drives, on purpose.
+    Of two rectangles that overlap, one has a corner in the other or two of their edges cross. On purpose this
+    is another test than the one that the simulation uses.
     """
     pairs = 0
     for i in range(background.x.shape[0]):
@@ -125,7 +139,7 @@ def overlapping_pairs(background: Background) -> int:
             if (
                 abs(background.x[i] - background.x[j]) < reach
                 and abs(background.y[i] - background.y[j]) < reach
-                and abs(background.elevation[i] - background.elevation[j]) < _LEVEL_HEIGHT
+                and abs(background.elevation[i] - background.elevation[j]) < VEHICLE_LEVEL_HEIGHT
                 and _overlap(_corners(background, i), _corners(background, j))
             ):
                 pairs += 1
@@ -133,15 +147,15 @@ def overlapping_pairs(background: Background) -> int:
 
 
 @inner
-def _corners(background: Background, row: int) -> Floats:
+def _corners(background: Background, vehicle: int) -> Floats:
     """Return [4, 2] the corners of a vehicle's body."""
-    cos, sin = math.cos(background.heading[row]), math.sin(background.heading[row])
+    cos, sin = math.cos(background.heading[vehicle]), math.sin(background.heading[vehicle])
     corners = np.empty((4, 2))
     for index in range(4):
-        along = 0.5 * background.length[row] * (1.0 if index in (0, 1) else -1.0)
-        across = 0.5 * background.width[row] * (1.0 if index in (0, 3) else -1.0)
-        corners[index, 0] = background.x[row] + along * cos - across * sin
-        corners[index, 1] = background.y[row] + along * sin + across * cos
+        along = 0.5 * background.length[vehicle] * (1.0 if index in (0, 1) else -1.0)
+        across = 0.5 * background.width[vehicle] * (1.0 if index in (0, 3) else -1.0)
+        corners[index, 0] = background.x[vehicle] + along * cos - across * sin
+        corners[index, 1] = background.y[vehicle] + along * sin + across * cos
     return corners
 
 
@@ -162,7 +176,7 @@ def _side(a: Floats, b: Floats, point: Floats) -> float:
 
 @inner
 def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> bool:
-    """Tell whether the lines from a to b and from c to d cross; lines on one line do not."""
+    """Tell whether the lines from a to b and from c to d cross; collinear lines do not."""
     return _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0
 
 

@@ -1,6 +1,6 @@
 """The town's geometry for kernels that take the lanes by reference; the same code as Python's."""
 
-from athrl_driving.compilation import part
+from athrl_driving.kernels.compilation import part
 from athrl_driving.maps import geometry
 
 lane_pose = part(geometry.lane_pose.py_func)  # type: ignore[attr-defined]

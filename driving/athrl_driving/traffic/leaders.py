@@ -1,65 +1,71 @@
-"""Who drives ahead on a vehicle's path, and the next junction on it."""
+"""Finds the leader on a vehicle's path, and the next movement on it, compiled."""
 
 import math
 
-from athrl_driving.compilation import part, spliced
-from athrl_driving.traffic.columns import NOBODY, Traffic
-from athrl_driving.traffic.nodes import owner
-from athrl_driving.traffic.rails import CURVE_BRAKING
+from athrl_driving.kernels.compilation import part, spliced
+from athrl_driving.traffic.columns import NONE, Traffic
+from athrl_driving.traffic.lane_links import CURVE_BRAKING
+from athrl_driving.traffic.link_queues import vehicle_of
 
 LOOK_AHEAD = 60.0
-"""Metres of its path that a vehicle looks at."""
+"""Metres ahead along its path that a vehicle considers."""
 
-_ROOM_TO_LET_IN = 3.0
+LINE_MARGIN = 0.5
+"""Metres between a waiting vehicle's front and the stop line."""
+
+_GAP_TO_LET_IN = 3.0
+_STANDSTILL_ROOM = 2.0
+_REACTION_ROOM = 1.0
 
 
 @part
-def look_ahead(traffic: Traffic, row: int, length: float, speed: float) -> None:
-    """Find the leader and the next movement of vehicle `row` (N: the ego), `length` m long, and note them.
+def look_ahead(traffic: Traffic, vehicle: int, length: float, speed: float) -> None:
+    """Find and note the leader and the next movement of a vehicle (N: the ego) of `length` m.
 
-    The leader is the nearest of: who is on the links of the path, who is on ways that part from the path and
-    has not left it with its rear, and the ego where it covers a link of the path.
+    The leader is the nearest of: vehicles on the links of the path, vehicles on diverging movements whose
+    rear has not left the path yet, vehicles on merging movements, and the ego where it covers a link of the
+    path.
     """
     covered, path, right_of_way = traffic.ego_on_links, traffic.background.path, traffic.right_of_way
-    is_ego = row == path.shape[0]
-    gap, leader_speed, leader, leader_middle = math.inf, 0.0, NOBODY, math.inf
-    ahead, line = NOBODY, math.inf
-    base = 0.0 if is_ego else -traffic.scratch.position[row]
+    is_ego = vehicle == path.shape[0]
+    gap, leader_speed, leader, leader_middle = math.inf, 0.0, NONE, math.inf
+    ahead, line = NONE, math.inf
+    base = 0.0 if is_ego else -traffic.scratch.position[vehicle]
     until = math.inf
     places = covered.path_link.shape[0] if is_ego else path.shape[1]
     for place in range(places):
         if is_ego:
             link, base, until = covered.path_link[place], covered.path_base[place], covered.path_until[place]
         else:
-            link = path[row, place]
+            link = path[vehicle, place]
         if link < 0 or base > LOOK_AHEAD:
             break
-        if place > 0 and link < right_of_way.holders.shape[0] and ahead == NOBODY:
+        if place > 0 and link < right_of_way.holders.shape[0] and ahead == NONE:
             ahead, line = link, base - 0.5 * length
-        if leader == NOBODY:
+        if leader == NONE:
             leader, leader_middle, gap, leader_speed = _leader_on(
-                traffic, row, place, link, base, until, length, speed
+                traffic, vehicle, place, link, base, until, length, speed
             )
-        base += traffic.rails.length[link]
-        if leader != NOBODY and ahead != NOBODY:
+        base += traffic.lane_links.length[link]
+        if leader != NONE and ahead != NONE:
             break
-    _note(traffic, row, gap, leader_speed, ahead, line)
-    # Who drives behind somebody without a right to cross waits its turn.
-    before_line = leader != NOBODY and leader_middle < line + 0.5 * length
-    traffic.scratch.held_up[row] = before_line and right_of_way.granted[leader] == NOBODY
+    _note(traffic, vehicle, gap, leader_speed, ahead, line)
+    # A vehicle behind a leader without a grant does not request one itself.
+    before_line = leader != NONE and leader_middle < line + 0.5 * length
+    traffic.scratch.held_up[vehicle] = before_line and right_of_way.granted[leader] == NONE
 
 
 @spliced
-def _note(traffic: Traffic, row: int, gap: float, leader_speed: float, ahead: int, line: float) -> None:
-    """Note the gap (m) to the leader and its speed (m/s), the next movement and the way (m) to its line."""
-    traffic.scratch.gap[row], traffic.scratch.leader_speed[row] = gap, leader_speed
-    traffic.right_of_way.ahead[row], traffic.right_of_way.line_distance[row] = ahead, line
+def _note(traffic: Traffic, vehicle: int, gap: float, leader_speed: float, ahead: int, line: float) -> None:
+    """Note gap (m) and speed (m/s) of the leader, and the next movement with the distance (m) to its line."""
+    traffic.scratch.gap[vehicle], traffic.scratch.leader_speed[vehicle] = gap, leader_speed
+    traffic.right_of_way.ahead[vehicle], traffic.right_of_way.line_distance[vehicle] = ahead, line
 
 
 @spliced
 def _leader_on(
     traffic: Traffic,
-    row: int,
+    vehicle: int,
     place: int,
     link: int,
     base: float,
@@ -67,18 +73,18 @@ def _leader_on(
     length: float,
     speed: float,
 ) -> tuple[int, float, float, float]:
-    """Return the leader on the link at a place of the path: who, and m to its middle and rear, and m/s.
+    """Return the leader on the link at a place of the path: its index, m to its middle, the gap (m), m/s.
 
     `base` is the distance (m) to the link's start. Without a leader: -1, inf, inf, 0.
     """
     background, covered = traffic.background, traffic.ego_on_links
     vehicles = background.lane.shape[0]
     gap, leader_speed = math.inf, 0.0
-    leader, middle = _vehicle_on(traffic, row, place, link, base, until, length, speed)
-    if leader != NOBODY:
+    leader, middle = _vehicle_on(traffic, vehicle, place, link, base, until, length, speed)
+    if leader != NONE:
         gap = middle - 0.5 * (length + background.length[leader])
         leader_speed = background.speed[leader]
-    if row < vehicles and covered.rear[link] < math.inf:
+    if vehicle < vehicles and covered.rear[link] < math.inf:
         ego_middle = base + 0.5 * (covered.rear[link] + covered.front[link])
         ego_gap = base + covered.rear[link] - 0.5 * length
         if ego_middle > 0.0 and ego_gap < gap:
@@ -89,7 +95,7 @@ def _leader_on(
 @spliced
 def _vehicle_on(
     traffic: Traffic,
-    row: int,
+    vehicle: int,
     place: int,
     link: int,
     base: float,
@@ -97,111 +103,127 @@ def _vehicle_on(
     length: float,
     speed: float,
 ) -> tuple[int, float]:
-    """Return the nearest vehicle to heed on a link and on the ways that part from it or merge with it.
+    """Return the nearest vehicle ahead on a link and on movements that diverge from it or merge with it.
 
-    With it the distance (m) to its middle; -1 and inf without one.
+    Also return the distance (m) to its middle; -1 and inf without one.
     """
     scratch, vehicles = traffic.scratch, traffic.background.lane.shape[0]
-    leader, middle = NOBODY, math.inf
-    node = scratch.following[row] if place == 0 and row < vehicles else scratch.first[link]
-    node = _first_to_heed(traffic, node, row, base, until, length, speed)
-    if node != NOBODY:
-        leader, middle = owner(node, vehicles), base + scratch.position[node]
+    leader, middle = NONE, math.inf
+    entry = scratch.following[vehicle] if place == 0 and vehicle < vehicles else scratch.first[link]
+    entry = _first_ahead(traffic, entry, vehicle, base, until, length, speed)
+    if entry != NONE:
+        leader, middle = vehicle_of(entry, vehicles), base + scratch.position[entry]
     if link >= traffic.right_of_way.holders.shape[0]:
         return leader, middle
-    node = _parting(traffic, link, base, middle)
-    if node != NOBODY:
-        leader, middle = node, base + scratch.position[node]
-    node, nearer = _merged(traffic, link, base, middle, row)
-    if node != NOBODY:
-        leader, middle = node, nearer
+    entry = _diverging(traffic, link, base, middle)
+    if entry != NONE:
+        leader, middle = entry, base + scratch.position[entry]
+    entry, nearer = _merging(traffic, link, base, middle, vehicle)
+    if entry != NONE:
+        leader, middle = entry, nearer
     return leader, middle
 
 
 @part
-def _first_to_heed(
-    traffic: Traffic, node: int, row: int, base: float, until: float, length: float, speed: float
+def _first_ahead(
+    traffic: Traffic, entry: int, vehicle: int, base: float, until: float, length: float, speed: float
 ) -> int:
-    """Return the first of the nodes from `node` on that is ahead and no request to be let in too late."""
-    scratch, asks = traffic.scratch, traffic.lane_changes.asks
-    vehicles = asks.shape[0]
-    while node != NOBODY:
-        position = scratch.position[node]
+    """Return the first entry from `entry` on that is ahead and, if it requests a gap, can still be let in."""
+    scratch, requests_gap = traffic.scratch, traffic.lane_changes.requests_gap
+    vehicles = requests_gap.shape[0]
+    while entry != NONE:
+        position = scratch.position[entry]
         if position >= until:
-            return NOBODY
+            return NONE
         middle = base + position
-        if owner(node, vehicles) != row and middle > 0.0:
-            if node < vehicles or not asks[node - vehicles]:
-                return node
-            room = middle - length - _ROOM_TO_LET_IN
-            if row < vehicles and room > speed * speed / (2.0 * CURVE_BRAKING):
-                return node
-        node = scratch.following[node]
-    return NOBODY
+        if vehicle_of(entry, vehicles) != vehicle and middle > 0.0:
+            if entry < vehicles or not requests_gap[entry - vehicles]:
+                return entry
+            room = middle - length - _GAP_TO_LET_IN
+            if vehicle < vehicles and room > speed * speed / (2.0 * CURVE_BRAKING):
+                return entry
+        entry = scratch.following[entry]
+    return NONE
 
 
 @part
-def _parting(traffic: Traffic, movement: int, base: float, nearer_than: float) -> int:
-    """Return the nearest vehicle ahead on a way from the same origin that still covers some of `movement`.
+def _diverging(traffic: Traffic, movement: int, base: float, nearer_than: float) -> int:
+    """Return the nearest vehicle ahead on a sibling movement whose rear still overlaps `movement`.
 
-    `base` is the distance (m) to where the ways start.
+    `base` is the distance (m) to where the movements start.
     """
     movements, scratch, lengths = traffic.movements, traffic.scratch, traffic.background.length
-    found = NOBODY
+    found = NONE
     for index in range(movements.sibling_start[movement], movements.sibling_start[movement + 1]):
-        node = scratch.first[movements.sibling[index]]
-        while node != NOBODY:
-            middle = base + scratch.position[node]
+        entry = scratch.first[movements.sibling[index]]
+        while entry != NONE:
+            middle = base + scratch.position[entry]
             if middle >= nearer_than:
                 break
-            if middle > 0.0 and scratch.position[node] - 0.5 * lengths[node] < movements.shared[index]:
-                found, nearer_than = node, middle
+            if middle > 0.0 and scratch.position[entry] - 0.5 * lengths[entry] < movements.shared[index]:
+                found, nearer_than = entry, middle
                 break
-            node = scratch.following[node]
+            entry = scratch.following[entry]
     return found
 
 
 @part
-def _merged(traffic: Traffic, movement: int, base: float, nearer_than: float, row: int) -> tuple[int, float]:
-    """Return the nearest vehicle ahead on ways that have merged with `movement`, and its distance (m)."""
-    meetings, scratch, lengths = traffic.meetings, traffic.scratch, traffic.background.length
-    found = NOBODY
-    for index in range(meetings.merge_start[movement], meetings.merge_start[movement + 1]):
-        node = scratch.first[meetings.merged[index]]
-        while node != NOBODY:
-            position = scratch.position[node]
-            middle = base + position + meetings.merged_shift[index]
-            if middle >= nearer_than or position - 0.5 * lengths[node] > meetings.merged_until[index]:
+def _merging(
+    traffic: Traffic, movement: int, base: float, nearer_than: float, vehicle: int
+) -> tuple[int, float]:
+    """Return the nearest vehicle ahead on movements that merge with `movement`, and its distance (m)."""
+    conflict_zones, scratch, lengths = traffic.conflict_zones, traffic.scratch, traffic.background.length
+    found = NONE
+    for index in range(conflict_zones.merge_start[movement], conflict_zones.merge_start[movement + 1]):
+        entry = scratch.first[conflict_zones.merged[index]]
+        while entry != NONE:
+            position = scratch.position[entry]
+            middle = base + position + conflict_zones.merged_shift[index]
+            if middle >= nearer_than or position - 0.5 * lengths[entry] > conflict_zones.merged_until[index]:
                 break
-            if middle > 0.0 and position > meetings.merged_begin[index] and node != row:
-                found, nearer_than = node, middle
+            if middle > 0.0 and position > conflict_zones.merged_begin[index] and entry != vehicle:
+                found, nearer_than = entry, middle
                 break
-            node = scratch.following[node]
+            entry = scratch.following[entry]
     return found, nearer_than
 
 
 @part
-def look_beside(traffic: Traffic, row: int, length: float) -> None:
+def stopping_speed(traffic: Traffic, vehicle: int) -> float:
+    """Return the speed (m/s) from which a vehicle can still stop behind its leader and before its line."""
+    background, lane_links, scratch = traffic.background, traffic.lane_links, traffic.scratch
+    line = traffic.right_of_way.line_distance[vehicle] - LINE_MARGIN
+    end = (
+        lane_links.room[background.path[vehicle, 0]]
+        - scratch.position[vehicle]
+        - 0.5 * background.length[vehicle]
+    )
+    room = max(min(scratch.gap[vehicle] - _STANDSTILL_ROOM, line, end) - _REACTION_ROOM, 0.0)
+    return math.sqrt(2.0 * CURVE_BRAKING * room)
+
+
+@part
+def look_beside(traffic: Traffic, vehicle: int, length: float) -> None:
     """Find the leader of a changing vehicle on the lane that it has not left yet."""
     background, scratch, covered = traffic.background, traffic.scratch, traffic.ego_on_links
     vehicles = background.lane.shape[0]
-    node = vehicles + row
+    entry = vehicles + vehicle
     gap, leader_speed = math.inf, 0.0
-    link = scratch.link[node]
-    if link != NOBODY and not traffic.lane_changes.asks[row]:
-        position = scratch.position[node]
-        other = scratch.following[node]
-        while other != NOBODY and (
-            owner(other, vehicles) == row
-            or (other >= vehicles and traffic.lane_changes.asks[other - vehicles])
+    link = scratch.link[entry]
+    if link != NONE and not traffic.lane_changes.requests_gap[vehicle]:
+        position = scratch.position[entry]
+        other = scratch.following[entry]
+        while other != NONE and (
+            vehicle_of(other, vehicles) == vehicle
+            or (other >= vehicles and traffic.lane_changes.requests_gap[other - vehicles])
         ):
             other = scratch.following[other]
-        if other != NOBODY:
-            leader = owner(other, vehicles)
+        if other != NONE:
+            leader = vehicle_of(other, vehicles)
             gap = scratch.position[other] - position - 0.5 * (length + background.length[leader])
             leader_speed = background.speed[leader]
         if covered.rear[link] < math.inf and 0.5 * (covered.rear[link] + covered.front[link]) > position:
             ego_gap = covered.rear[link] - position - 0.5 * length
             if ego_gap < gap:
                 gap, leader_speed = ego_gap, covered.speed[link]
-    scratch.side_gap[row], scratch.side_speed[row] = gap, leader_speed
+    scratch.side_gap[vehicle], scratch.side_speed[vehicle] = gap, leader_speed

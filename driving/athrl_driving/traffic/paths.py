@@ -1,56 +1,54 @@
-"""Where a background vehicle will go: random turns from each vehicle's own counter, compiled."""
+"""Puts background vehicles on links, and draws their paths: random turns by their own numbers, compiled."""
 
-import numpy as np
-from numba import uint64
-from numpy.typing import NDArray
-
-from athrl_driving.compilation import part
-from athrl_driving.traffic.columns import NOBODY, PATH_LENGTH, Background
-from athrl_driving.traffic.rails import Rails
-
-_INCREMENT = 0x9E3779B97F4A7C15
+from athrl_driving.kernels.compilation import part
+from athrl_driving.kernels.random_numbers import random_below
+from athrl_driving.traffic.columns import NONE, PATH_LENGTH, Background, Traffic
+from athrl_driving.traffic.geometry import lane_elevation, lane_pose
+from athrl_driving.traffic.lane_links import LaneLinks
 
 
 @part
-def splitmix(state: NDArray[np.uint64]) -> np.uint64:
-    """Return the next random 64 bits of a counter [1], which moves on (splitmix64)."""
-    mixed = state[0] + uint64(_INCREMENT)
-    state[0] = mixed
-    mixed = (mixed ^ (mixed >> uint64(30))) * uint64(0xBF58476D1CE4E5B9)
-    mixed = (mixed ^ (mixed >> uint64(27))) * uint64(0x94D049BB133111EB)
-    return mixed ^ (mixed >> uint64(31))
+def put_on_link(traffic: Traffic, vehicle: int, link: int, position: float) -> None:
+    """Put a vehicle `position` metres along a link, the first of its path."""
+    background, lane_links, graph = traffic.background, traffic.lane_links, traffic.graph
+    index = lane_links.lane_start[link]
+    lane = lane_links.lanes[index]
+    while (
+        position > lane_links.link_offset[lane] + graph.length[lane]
+        and index + 1 < lane_links.lane_start[link + 1]
+    ):
+        index += 1
+        lane = lane_links.lanes[index]
+    s = position - lane_links.link_offset[lane]
+    background.lane[vehicle], background.s[vehicle], background.path[vehicle, 0] = lane, s, link
+    background.x[vehicle], background.y[vehicle], background.heading[vehicle] = lane_pose(graph, lane, s)
+    background.elevation[vehicle] = lane_elevation(graph, lane, s)
 
 
 @part
-def random_below(background: Background, vehicle: int, bound: int) -> int:
-    """Return the vehicle's next random number in 0..bound-1."""
-    mixed = splitmix(background.random_state[vehicle : vehicle + 1])
-    # The upper half is as random as the whole and never negative as a signed number.
-    return int((mixed >> uint64(33)) % uint64(bound))
-
-
-@part
-def plan_from(rails: Rails, background: Background, vehicle: int, first: int) -> None:
-    """Draw the vehicle's path anew from place `first` of it on; the places before stay."""
+def plan_from(lane_links: LaneLinks, background: Background, vehicle: int, first: int) -> None:
+    """Draw a new path for a vehicle from place `first` on; the places before stay."""
     path = background.path
     link = path[vehicle, first - 1]
     for place in range(first, PATH_LENGTH):
-        if link != NOBODY:
-            start = rails.next_start[link]
-            count = rails.next_start[link + 1] - start
+        if link != NONE:
+            start = lane_links.next_start[link]
+            count = lane_links.next_start[link + 1] - start
             if count == 0:
-                link = NOBODY
+                link = NONE
             elif count == 1:
-                link = rails.next[start]
+                link = lane_links.next[start]
             else:
-                link = rails.next[start + random_below(background, vehicle, count)]
+                link = lane_links.next[
+                    start + random_below(background.random_state[vehicle : vehicle + 1], count)
+                ]
         path[vehicle, place] = link
 
 
 @part
-def drop_first(rails: Rails, background: Background, vehicle: int) -> None:
-    """Move the path on by one link."""
+def drop_first(lane_links: LaneLinks, background: Background, vehicle: int) -> None:
+    """Drop the first link of the path and append one at its end."""
     path = background.path
     for place in range(PATH_LENGTH - 1):
         path[vehicle, place] = path[vehicle, place + 1]
-    plan_from(rails, background, vehicle, PATH_LENGTH - 1)
+    plan_from(lane_links, background, vehicle, PATH_LENGTH - 1)

@@ -11,10 +11,20 @@ from numpy.typing import NDArray
 
 from athrl_driving.maps import Town
 from athrl_driving.traffic.collision import first_touched
+from athrl_driving.traffic.ego_columns import (
+    EGO_SIZE,
+    ELEVATION,
+    HEADING,
+    LENGTH,
+    PRESENT,
+    SPEED,
+    WIDTH,
+    X,
+    Y,
+)
 from athrl_driving.traffic.spawn import place_vehicles
 from athrl_driving.traffic.state import (
-    EGO_FIELDS,
-    NOBODY,
+    NONE,
     Background,
     Traffic,
     environment_views,
@@ -25,17 +35,17 @@ from athrl_driving.traffic.vehicle import BackgroundVehicle
 
 
 class TrafficRoad(Road):
-    """A town's road with background traffic that gives way at junctions.
+    """A town's road with background traffic that keeps to the right of way at junctions.
 
     `vehicles[0]` is the ego, any highway-env vehicle, appended before `spawn_background` is called; the
     others are `BackgroundVehicle` objects over the arrays of `background`. Without an ego all vehicles are
     background.
 
-    `ego_path` (int64, rows of the lane graph that the ego will drive, the present one among the first) is
-    for the environment to set: the ego asks for the junctions on it like everybody else.
+    `ego_path` (int64, lanes of the lane graph that the ego will drive, the present one among the first) is
+    set by the environment: the ego requests the movements on it like any other vehicle.
 
-    `traffic` is the arrays to look at, of which the road shows one environment, or how many vehicles a
-    road of its own shall have; `ValueError` where that is negative. `np_random` places the vehicles.
+    `traffic` is existing arrays, of which the road shows one environment, or the number of vehicles for which
+    the road makes its own arrays; `ValueError` if that is negative. `np_random` places the vehicles.
     """
 
     def __init__(
@@ -52,7 +62,7 @@ class TrafficRoad(Road):
         self.environment = environment
         self.traffic = environment_views(self.arrays, environment)
         self.ego_path: NDArray[np.int64] = np.empty(0, dtype=np.int64)
-        self._ego_state = np.zeros(EGO_FIELDS)
+        self._ego_state = np.zeros(EGO_SIZE)
         self.vehicles: list[Vehicle]
 
     @property
@@ -70,7 +80,7 @@ class TrafficRoad(Road):
         ego = self._observed_ego()
         place_vehicles(self.arrays, self.environment, self.np_random, keep_clear_of, clearance, ego)
         self.vehicles = [vehicle for vehicle in self.vehicles if not isinstance(vehicle, BackgroundVehicle)]
-        self.vehicles += [BackgroundVehicle(self, row) for row in range(len(self.background.lane))]
+        self.vehicles += [BackgroundVehicle(self, index) for index in range(len(self.background.lane))]
 
     def act(self) -> None:
         """Let the ego act; the background decides within `step`."""
@@ -78,14 +88,14 @@ class TrafficRoad(Road):
             self.vehicles[0].act()
 
     def step(self, dt: float) -> None:
-        """Move everybody on by `dt` seconds and see what the ego hits; traffic sees where the ego was."""
+        """Move all vehicles by `dt` seconds and note what the ego hits; traffic sees the ego's last place."""
         tick(self.arrays, self.environment, self._observed_ego(), self.ego_path, dt)
         if not self._has_ego():
             return
         ego = self.vehicles[0]
         ego.step(dt)
         touched = first_touched(self.background, self._observed_ego())
-        if touched != NOBODY:
+        if touched != NONE:
             ego.crashed = True
             self.background.crashed[touched] = True
         for obstacle in self.objects:
@@ -97,14 +107,14 @@ class TrafficRoad(Road):
         The gap is from bumper to bumper along the path.
         """
         tick(self.arrays, self.environment, self._observed_ego(), self.ego_path, 0.0)
-        row = len(self.background.lane)
-        gap = float(self.traffic.scratch.gap[row])
-        return (gap, float(self.traffic.scratch.leader_speed[row])) if math.isfinite(gap) else (math.inf, 0.0)
+        ego = len(self.background.lane)
+        gap = float(self.traffic.scratch.gap[ego])
+        return (gap, float(self.traffic.scratch.leader_speed[ego])) if math.isfinite(gap) else (math.inf, 0.0)
 
     def ego_may_enter(self) -> bool:
         """Tell whether the ego holds the next junction on its path, or none is near, as of the last tick."""
         right_of_way = self.traffic.right_of_way
-        return bool(right_of_way.ahead[-1] == NOBODY or right_of_way.granted[-1] == right_of_way.ahead[-1])
+        return bool(right_of_way.ahead[-1] == NONE or right_of_way.granted[-1] == right_of_way.ahead[-1])
 
     def ego_stop_line(self) -> float:
         """Return the distance (m) from the ego's front to its next junction, as of the last tick."""
@@ -115,12 +125,12 @@ class TrafficRoad(Road):
 
     def _observed_ego(self) -> NDArray[np.float64]:
         state = self._ego_state
-        state[7] = float(self._has_ego())
+        state[PRESENT] = float(self._has_ego())
         if not self._has_ego():
             return state
         ego = self.vehicles[0]
-        state[0], state[1] = ego.position
-        state[2], state[3] = ego.heading, ego.speed
-        state[4], state[5] = ego.LENGTH, ego.WIDTH
-        state[6] = getattr(ego, "elevation", 0.0)
+        state[X], state[Y] = ego.position
+        state[HEADING], state[SPEED] = ego.heading, ego.speed
+        state[LENGTH], state[WIDTH] = ego.LENGTH, ego.WIDTH
+        state[ELEVATION] = getattr(ego, "elevation", 0.0)
         return state

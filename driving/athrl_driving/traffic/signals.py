@@ -1,6 +1,6 @@
-"""Traffic lights, compiled. Where a map has none, every movement is as if its light were always green."""
+"""Traffic lights, compiled. On a map without lights every movement is treated as always green."""
 
-from athrl_driving.compilation import inlined
+from athrl_driving.kernels.compilation import inlined
 from athrl_driving.traffic.columns import Traffic
 
 GREEN, YELLOW, RED = 0, 1, 2
@@ -8,8 +8,8 @@ GREEN, YELLOW, RED = 0, 1, 2
 
 @inlined
 def light(traffic: Traffic, movement: int) -> int:
-    """Return the light that a movement has now: `GREEN`, also where there is none, `YELLOW` or `RED`."""
-    group = traffic.rails.signal[movement]
+    """Return the present light of a movement: `GREEN` (also without a light), `YELLOW` or `RED`."""
+    group = traffic.lane_links.signal[movement]
     if group < 0:
         return GREEN
     signals = traffic.signals

@@ -7,28 +7,26 @@ import numpy as np
 from numba import uint64
 from numpy.typing import NDArray
 
-from athrl_driving.by_reference import by_reference
-from athrl_driving.compilation import compiled, inner, part
 from athrl_driving.errors import DrivingError
+from athrl_driving.kernels.by_reference import by_reference
+from athrl_driving.kernels.compilation import compiled, inner, part
+from athrl_driving.kernels.random_numbers import next_random
 from athrl_driving.maps.lane_graph import Floats, Integers
-from athrl_driving.traffic.columns import NOBODY, Traffic
-from athrl_driving.traffic.geometry import lane_elevation, lane_pose
-from athrl_driving.traffic.paths import plan_from, splitmix
-from athrl_driving.traffic.rails import CURVE_BRAKING
+from athrl_driving.traffic.columns import NONE, Traffic
+from athrl_driving.traffic.leaders import stopping_speed
+from athrl_driving.traffic.paths import plan_from, put_on_link
 from athrl_driving.traffic.state import environment_traffic
-from athrl_driving.traffic.tick import LINE_MARGIN, advance
+from athrl_driving.traffic.tick import advance
 
 SLOWEST_DESIRED, FASTEST_DESIRED = 7.0, 9.0
-"""m/s between which everybody's speed on a free road lies."""
+"""m/s between which the vehicles' speeds on a free road lie."""
 
 SIGNAL_SHIFT = 600.0
-"""Seconds within which an episode's clock starts, so that signals are anywhere in their cycles."""
+"""Seconds within which an episode's clock starts, so that signals are at a random time of their cycles."""
 
 Seeds = NDArray[np.uint64]
 
 _JITTER = 1.0
-_STANDSTILL_ROOM = 2.0
-_REACTION_ROOM = 1.0
 
 
 def place_vehicles(
@@ -39,7 +37,7 @@ def place_vehicles(
     clearance: float,
     ego: Floats,
 ) -> None:
-    """Place every vehicle of environment `e` anew, none within `clearance` metres of `keep_clear_of`.
+    """Place all vehicles of environment `e`, none within `clearance` metres of `keep_clear_of`.
 
     They start with speeds at which they can stop behind each other, behind the ego (float64 [8]) and at their
     stop lines. Raises `ValueError` where the town has no room.
@@ -61,11 +59,12 @@ def _place_in_environment(
 
 @inner
 def place(traffic: Traffic, seed: np.uint64, x: float, y: float, clearance: float, ego: Floats) -> int:
-    """Place every vehicle of one environment's view anew and return how many found a place.
+    """Place all vehicles of one environment's view and return how many found a place.
 
-    `seed` decides everything; none comes within `clearance` metres of `x`, `y` (infinite: of nothing).
+    `seed` determines everything. No vehicle is placed within `clearance` metres of `x`, `y` (infinite: no
+    limit).
     """
-    state, choices = np.full(1, seed, np.uint64), np.empty(traffic.rails.start_link.shape[0], np.int64)
+    state, choices = np.full(1, seed, np.uint64), np.empty(traffic.lane_links.start_link.shape[0], np.int64)
     return place_with(by_reference(traffic), state, choices, np.empty(0, np.int64), x, y, clearance, ego)
 
 
@@ -80,9 +79,9 @@ def place_with(
     clearance: float,
     ego: Floats,
 ) -> int:
-    """Do what `place` does where no arrays can be made: `state` is uint64 [1], the seed.
+    """Do what `place` does where no arrays can be allocated: `state` is uint64 [1], the seed.
 
-    `choices` int64 [starting places of `Rails`] is room to work in, `no_path` int64 [0] the ego's path.
+    `choices`, int64 [starting places of `LaneLinks`], is scratch space; `no_path`, int64 [0], the ego's path.
     """
     for index in range(choices.shape[0]):
         choices[index] = index
@@ -97,9 +96,9 @@ def place_with(
 def _choose_places(
     traffic: Traffic, state: Seeds, choices: Integers, x: float, y: float, clearance: float
 ) -> int:
-    """Put vehicles on places drawn from `choices` until all have one; return how many have."""
-    background, changes, rails = traffic.background, traffic.lane_changes, traffic.rails
-    _forget(traffic, _uniform(state) * SIGNAL_SHIFT)
+    """Put vehicles on starting places drawn from `choices` until all have one; return how many have one."""
+    background, changes, lane_links = traffic.background, traffic.lane_changes, traffic.lane_links
+    _reset(traffic, _uniform(state) * SIGNAL_SHIFT)
     placed, left = 0, choices.shape[0]
     while placed < background.lane.shape[0] and left > 0:
         drawn = int(_uniform(state) * left)
@@ -107,72 +106,59 @@ def _choose_places(
         choices[drawn], choices[left] = choices[left], choices[drawn]
         jitter = (2.0 * _uniform(state) - 1.0) * _JITTER
         if _put(traffic, placed, choices[left], jitter, x, y, clearance):
-            background.random_state[placed] = splitmix(state)
-            plan_from(rails, background, placed, 1)
+            background.random_state[placed] = next_random(state)
+            plan_from(lane_links, background, placed, 1)
             span = FASTEST_DESIRED - SLOWEST_DESIRED
             background.desired_speed[placed] = SLOWEST_DESIRED + _uniform(state) * span
-            changes.next_thought[placed] = traffic.scratch.clock[0] + _uniform(state)
+            changes.next_decision[placed] = traffic.scratch.clock[0] + _uniform(state)
             placed += 1
     return placed
 
 
 @part
 def _choose_speeds(traffic: Traffic, state: Seeds) -> None:
-    """Give everybody a speed with which it can still stop behind its leader and before its line."""
-    background, rails, scratch = traffic.background, traffic.rails, traffic.scratch
-    for row in range(background.lane.shape[0]):
-        pace = min(background.desired_speed[row], rails.pace[background.lane[row]])
-        line = traffic.right_of_way.line_distance[row] - LINE_MARGIN
-        end = rails.room[background.path[row, 0]] - scratch.position[row] - 0.5 * background.length[row]
-        room = max(min(scratch.gap[row] - _STANDSTILL_ROOM, line, end) - _REACTION_ROOM, 0.0)
-        safe = math.sqrt(2.0 * CURVE_BRAKING * room)
-        background.speed[row] = min((0.5 + 0.5 * _uniform(state)) * pace, safe)
+    """Give each vehicle a speed from which it can still stop behind its leader and before its line."""
+    background, lane_links = traffic.background, traffic.lane_links
+    for vehicle in range(background.lane.shape[0]):
+        pace = min(background.desired_speed[vehicle], lane_links.pace[background.lane[vehicle]])
+        safe = stopping_speed(traffic, vehicle)
+        background.speed[vehicle] = min((0.5 + 0.5 * _uniform(state)) * pace, safe)
 
 
 @part
 def _uniform(state: Seeds) -> float:
     """Return a random number in [0, 1)."""
-    return (splitmix(state) >> uint64(11)) * (1.0 / 9007199254740992.0)
+    return (next_random(state) >> uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @part
-def _forget(traffic: Traffic, clock: float) -> None:
-    """Clear what an episode before has left, and start the clock."""
+def _reset(traffic: Traffic, clock: float) -> None:
+    """Reset what the last episode has left, and start the clock."""
     right_of_way, background, changes = traffic.right_of_way, traffic.background, traffic.lane_changes
-    right_of_way.crossing[:] = NOBODY
-    right_of_way.granted[:] = NOBODY
-    right_of_way.ahead[:] = NOBODY
+    right_of_way.crossing[:] = NONE
+    right_of_way.granted[:] = NONE
+    right_of_way.ahead[:] = NONE
     right_of_way.waiting_since[:] = math.inf
+    right_of_way.entry[:] = NONE
     right_of_way.granted_at[:] = 0.0
     right_of_way.inbound[:] = 0
     background.offset[:] = 0.0
     background.speed[:] = 0.0
     background.acceleration[:] = 0.0
     background.crashed[:] = False
-    changes.over[:] = 0.0
-    changes.asks[:] = False
-    changes.wanted_since[:] = math.inf
+    changes.distance[:] = 0.0
+    changes.requests_gap[:] = False
+    changes.waiting_since[:] = math.inf
     traffic.scratch.clock[0] = clock
-    traffic.scratch.turns[:] = 0
+    traffic.scratch.grants[:] = 0
 
 
 @part
 def _put(
-    traffic: Traffic, row: int, choice: Any, jitter: float, x: float, y: float, clearance: float
+    traffic: Traffic, vehicle: int, choice: Any, jitter: float, x: float, y: float, clearance: float
 ) -> bool:
-    """Put a vehicle on a starting place, if that is clear."""
-    background, rails, graph = traffic.background, traffic.rails, traffic.graph
-    link, position = rails.start_link[choice], rails.start_position[choice] + jitter
-    index = rails.row_start[link]
-    lane = rails.rows[index]
-    while position > rails.link_offset[lane] + graph.length[lane] and index + 1 < rails.row_start[link + 1]:
-        index += 1
-        lane = rails.rows[index]
-    s = position - rails.link_offset[lane]
-    place_x, place_y, heading = lane_pose(graph, lane, s)
-    if math.hypot(place_x - x, place_y - y) <= clearance:
-        return False
-    background.lane[row], background.s[row], background.path[row, 0] = lane, s, link
-    background.x[row], background.y[row], background.heading[row] = place_x, place_y, heading
-    background.elevation[row] = lane_elevation(graph, lane, s)
-    return True
+    """Put a vehicle on a starting place; tell whether that is clear."""
+    background, lane_links = traffic.background, traffic.lane_links
+    position = lane_links.start_position[choice] + jitter
+    put_on_link(traffic, vehicle, lane_links.start_link[choice], position)
+    return math.hypot(background.x[vehicle] - x, background.y[vehicle] - y) > clearance

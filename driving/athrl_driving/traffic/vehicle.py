@@ -2,24 +2,39 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from highway_env.road.lane import AbstractLane
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from athrl_driving.traffic.road import TrafficRoad
+from athrl_driving.maps import Town
+from athrl_driving.traffic.state import Background
+
+
+class BackgroundRoad(Protocol):
+    """What a background vehicle reads of its road."""
+
+    town: Town
+    network: RoadNetwork
+
+    @property
+    def background(self) -> Background:
+        """The arrays of all background vehicles."""
 
 
 class BackgroundVehicle(IDMVehicle):
-    """One row of the arrays. The road moves it; `act` and `step` do nothing, and its state is read only."""
+    """A view of one background vehicle, which the road moves: `act` and `step` do nothing.
 
-    def __init__(self, road: TrafficRoad, row: int) -> None:
-        # highway-env's constructors would look for the closest lane and copy the state: the arrays hold all.
+    Its state is read only. `index` is its index in the arrays.
+    """
+
+    def __init__(self, road: BackgroundRoad, index: int) -> None:
+        # highway-env's constructors would search the closest lane and copy the state, which the arrays hold.
         self.road = road
-        self.row = row
+        self.index = index
         self.collidable = self.solid = True
         self.check_collisions = False
         self.hit = False
@@ -34,41 +49,41 @@ class BackgroundVehicle(IDMVehicle):
     def position(self) -> NDArray[np.float64]:
         """The centre, m."""
         background = self.road.background
-        return np.array((background.x[self.row], background.y[self.row]))
+        return np.array((background.x[self.index], background.y[self.index]))
 
     @property
     def heading(self) -> float:
         """Radians."""
-        return float(self.road.background.heading[self.row])
+        return float(self.road.background.heading[self.index])
 
     @property
     def speed(self) -> float:
         """Metres per second."""
-        return float(self.road.background.speed[self.row])
+        return float(self.road.background.speed[self.index])
 
     @property
     def target_speed(self) -> float:
         """The desired speed on a free road, m/s."""
-        return float(self.road.background.desired_speed[self.row])
+        return float(self.road.background.desired_speed[self.index])
 
     @property
     def crashed(self) -> bool:
         """Whether the ego has hit it."""
-        return bool(self.road.background.crashed[self.row])
+        return bool(self.road.background.crashed[self.index])
 
     @property
     def action(self) -> dict[str, float]:
-        """The acceleration of the last tick; on rails there is no steering."""
-        return {"steering": 0.0, "acceleration": float(self.road.background.acceleration[self.row])}
+        """The acceleration of the last tick; as vehicles follow their lanes, there is no steering."""
+        return {"steering": 0.0, "acceleration": float(self.road.background.acceleration[self.index])}
 
     @property
     def lane_index(self) -> tuple[str, str, int]:
         """highway-env's index of the lane that it is on."""
-        return self.road.town.lane_indices[self.road.background.lane[self.row]]
+        return self.road.town.lane_indices[self.road.background.lane[self.index]]
 
     @property
     def target_lane_index(self) -> tuple[str, str, int]:
-        """The same lane: from the begin of a change it is on the new one."""
+        """The same lane: from the start of a change the vehicle counts as on the new one."""
         return self.lane_index
 
     @property
@@ -79,12 +94,12 @@ class BackgroundVehicle(IDMVehicle):
     @property
     def LENGTH(self) -> float:  # noqa: N802
         """Metres."""
-        return float(self.road.background.length[self.row])
+        return float(self.road.background.length[self.index])
 
     @property
     def WIDTH(self) -> float:  # noqa: N802
         """Metres."""
-        return float(self.road.background.width[self.row])
+        return float(self.road.background.width[self.index])
 
     @property
     def diagonal(self) -> float:

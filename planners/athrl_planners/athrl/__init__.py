@@ -1,8 +1,8 @@
 """atHRL: an intention planner over a trajectory planner over PID controllers (the paper).
 
-The intention planner decides I in [0, 2]: left, straight on, right, and everything between. The trajectory
+The intention planner decides I in [0, 2]: left, straight on, right, and values between them. The trajectory
 planner sees I and decides target speed and waypoint. Both learn off-policy from the same experience. With s
-what a level sees and remembers, r its reward, Q' and pi' its target networks:
+the observation and memory of a level, r its reward, Q' and pi' its target networks:
 
     critics      Q_h(s, I)     ->  Q_l(s, I, pi_l(s, I)), or r_h + discount * Q_h'(s', pi_h'(s'))  (the paper)
                  Q_l(s, I, a)  ->  r_l + discount * Q_l'(s', I', pi_l'(s', I')),   I' = pi_h'(s')
@@ -10,8 +10,8 @@ what a level sees and remembers, r its reward, Q' and pi' its target networks:
     intention    maximise  Q_h(s, pi_h(s)) + intention_gradient * Q_l(s, pi_h(s), pi_l(s, pi_h(s)))
 
 The last line is how the high level back-propagates both levels' errors (paper, "Hierarchical Off-Policy
-Actor-Critic"). `agent.py` computes these for any planner of levels; this module says which levels there are.
-README.md beside it lists the deviations from the paper and the settings that undo them.
+Actor-Critic"). `training/losses.py` computes these for any planner with levels; this module defines the
+levels. README.md in this folder lists the deviations from the paper and the settings that undo them.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from athrl_planners.planner import LevelPlan, Planner
 from athrl_planners.settings import ActorCriticSettings
 
 PROGRESS = ("collision", "speed", "fast", "out", "constant")
-"""Terms of the reward beside what steering costs, `steer` and `lateral`."""
+"""Terms of the reward without the costs of steering, `steer` and `lateral`."""
 
 
 class AtHRLSettings(ActorCriticSettings):
-    """atHRL: the intention planner over the trajectory planner."""
+    """atHRL: intention planner over trajectory planner."""
 
     intention_gradient: float = Field(
         default=1.0,
@@ -44,33 +44,33 @@ class AtHRLSettings(ActorCriticSettings):
         description="Width of the hidden layers of the intention planner's actor and critics.",
     )
     intention_noise: float = Field(
-        default=0.2, ge=0, le=2, description="Deviation of the noise on the intention, half-ranges."
+        default=0.2, ge=0, le=2, description="Standard deviation of the noise on the intention, half-ranges."
     )
     intention_reward: Literal["task", "progress"] = Field(
         default="task",
-        description="What the intention planner is paid, r_h; task: the same as the trajectory planner; "
-        "progress: that without what steering costs, the terms steer and lateral, as it does not steer.",
+        description="Reward of the intention planner, r_h; task: the same as the trajectory planner's; "
+        "progress: without the costs of steering (the terms steer and lateral), as it does not steer.",
     )
     intention_target: Literal["trajectory", "experience"] = Field(
         default="trajectory",
-        description="What the intention's critics learn; experience: rewards and their own next value, the "
-        "paper, in which the noise of the trajectory planner counts for ever; trajectory: what the "
-        "trajectory critics say of the decision that the trajectory planner would make.",
+        description="Target of the intention's critics; experience: rewards and their own next value (the "
+        "paper), with the trajectory planner's noise; trajectory: the trajectory critics' value of its own "
+        "decision.",
     )
     intention_every: int = Field(
         default=1,
         ge=1,
         le=100,
-        description="The intention planner decides every so many decisions and holds its intention between.",
+        description="Decisions for which the intention planner holds its intention.",
     )
     intention_view: Literal["everything", "far route"] = Field(
         default="everything",
-        description="What the intention planner sees; far route: the drivable map and the route alone.",
+        description="View of the intention planner; far route: only the drivable map and the route.",
     )
     trajectory_view: Literal["everything", "near route"] = Field(
         default="everything",
-        description="What the trajectory planner sees; near route: the route only up to a few metres ahead, "
-        "so that a branch has to come from the intention.",
+        description="View of the trajectory planner; near route: the route only a few metres ahead, so that "
+        "the choice of a branch must come from the intention.",
     )
 
     @model_validator(mode="after")

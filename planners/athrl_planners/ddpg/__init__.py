@@ -1,4 +1,4 @@
-"""DDPG: no hierarchy, the actor decides acceleration and steering itself (paper, "Baselines")."""
+"""DDPG: no hierarchy; the actor decides acceleration and steering (paper, "Baselines")."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from athrl_planners.settings import ActorCriticSettings
 
 
 class DDPGSettings(ActorCriticSettings):
-    """DDPG: acceleration and steering, without controllers."""
+    """DDPG: acceleration and steering."""
 
 
 class DDPG(Planner):

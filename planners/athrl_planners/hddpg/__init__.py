@@ -11,11 +11,11 @@ from athrl_planners.settings import ActorCriticSettings
 
 
 class HDDPGSettings(ActorCriticSettings):
-    """H-DDPG: the trajectory planner alone."""
+    """H-DDPG: trajectory planner only."""
 
 
 class HDDPG(Planner):
-    """One level that decides target speed and waypoint; controllers do the rest."""
+    """One level that decides target speed and waypoint; controllers follow them."""
 
     kind = "hddpg"
     summary = "trajectory planner over PID (the paper's H-DDPG)"

@@ -1,7 +1,7 @@
-"""H-DQN: a network chooses a behaviour, another one a waypoint for it; controllers do the rest.
+"""H-DQN: one network chooses a behaviour, another one a waypoint; controllers follow them.
 
 Behaviours are target speeds (stop, slow, drive), waypoints lie in 8 directions at 2 distances (paper,
-"Baselines"). Each level is a DQN on the task's reward; the waypoint's sees the behaviour.
+"Baselines"). Each level is a DQN on the task's reward; the waypoint level sees the behaviour.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from athrl_planners.settings import QLearningSettings
 
 
 class HDQNSettings(QLearningSettings):
-    """H-DQN: a choice of behaviour over a choice of waypoint."""
+    """H-DQN: behaviour over waypoint."""
 
 
 class HDQN(Planner):
-    """A behaviour out of three over a waypoint out of sixteen."""
+    """One of three behaviours over one of sixteen waypoints."""
 
     kind = "hdqn"
     summary = "behaviour of three over waypoint of sixteen over PID (the paper's H-DQN)"

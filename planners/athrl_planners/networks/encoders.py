@@ -1,4 +1,4 @@
-"""Encoders: an image becomes features."""
+"""Encoders: from images to features."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from athrl_spaces import Observation
 from torch import Tensor, nn
 
 SMALL_CHANNELS = (16, 32, 64)
-"""Of the small encoder's convolutions, each of which halves the image."""
+"""Channels of the small encoder's convolutions, each of which halves the image."""
 
 PAPER_LAYERS = ((32, 5, 2), (64, 3, 2), (128, 3, 2), (256, 3, 2))
-"""Channels, kernel and stride of the paper's convolutions; a last one takes what is left to one pixel."""
+"""Channels, kernel and stride of the paper's convolutions; a last one reduces the rest to one pixel."""
 
 PAPER_FEATURES = 256
 """Features of each of the paper's towers."""
 
 
 class PixelConv2d(nn.Conv2d):
-    """A convolution of pixels 0..255 as if they were 0..1: scaling weights costs less than scaling pixels."""
+    """A convolution that scales pixels 0..255 to 0..1; it scales the weights, which is cheaper."""
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """[n, channels, height, width] -> [n, channels of its own, ...]."""
+        """[n, channels, height, width] -> [n, out_channels, ...]."""
         return self._conv_forward(pixels, self.weight * (1 / 255), self.bias)
 
 
@@ -41,7 +41,7 @@ class SmallEncoder(nn.Sequential):
 
 
 class PaperEncoder(nn.Module):
-    """A tower of five convolutions for the bird's eye view and one for the lidar, side by side.
+    """Two towers of five convolutions, for the bird's eye view and for the lidar.
 
     Layers and features are those of the project that the paper builds on (interp-e2e-driving).
     """

@@ -1,4 +1,4 @@
-"""Heads: small networks on top of a trunk's context."""
+"""Heads: small networks on the context of a trunk."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Head(nn.Sequential):
 
 
 class Actor(nn.Module):
-    """Context and what was decided above -> an action before its tanh, and how random it is (SAC)."""
+    """Context and decisions above -> an action before its tanh, and its log deviation (SAC)."""
 
     def __init__(self, inputs: int, hidden: int, actions: int, random: bool) -> None:
         super().__init__()
@@ -44,7 +44,7 @@ class Actor(nn.Module):
 
 
 class Critic(nn.Module):
-    """Context, what was decided above and the action -> what its values are read from."""
+    """Context, decisions above and action -> outputs that represent the value."""
 
     def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ class Critic(nn.Module):
 
 
 class ChoiceCritic(nn.Module):
-    """Context and what was decided above -> the values of every choice."""
+    """Context and decisions above -> the values of every choice."""
 
     def __init__(self, inputs: int, hidden: int, choices: int, outputs: int, dueling: bool) -> None:
         super().__init__()

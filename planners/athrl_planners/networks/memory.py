@@ -1,4 +1,4 @@
-"""Memory: a sequence of features becomes one that knows what came before."""
+"""Memory: an LSTM over sequences of features."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from torch.nn import functional
 
 
 class Lstm(nn.LSTM):
-    """One LSTM layer whose state is one vector, output and cell one behind the other."""
+    """One LSTM layer whose state is one vector: output and cell concatenated."""
 
     def __init__(self, inputs: int, units: int) -> None:
         super().__init__(inputs, units)
-        with torch.no_grad():  # a forget gate that starts open remembers from the first update on
+        with torch.no_grad():  # an open forget gate remembers from the first update on
             self.get_parameter("bias_ih_l0")[units : 2 * units] = 1.0
 
     @property
@@ -29,8 +29,8 @@ class Lstm(nn.LSTM):
     def step(self, features: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """One step, [batch, inputs] and [batch, state] -> [batch, units] and the next state.
 
-        It computes what `unroll` does, of the same weights by their own names, which is what an exported
-        graph needs so that they can be replaced.
+        It computes the same as `unroll` with the same weights by name, as an exported graph needs to replace
+        them.
         """
         output, cell = state.split(self.hidden_size, dim=1)
         gates = self._gates("ih", features) + self._gates("hh", output)

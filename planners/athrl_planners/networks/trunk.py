@@ -1,8 +1,8 @@
-"""A trunk: it sees and remembers. Its output is the context from which actors and critics decide.
+"""A trunk: encoder and memory. Its output is the context, the input of actors and critics.
 
-The paper gives every actor and critic an encoder and an LSTM of its own. Here they share a trunk that learns
-from the critics' loss alone; actors read it without changing it. What a level above has decided and the
-action enter behind it, so that asking about another intention costs only the small networks on top.
+In the paper every actor and critic has its own encoder and LSTM. Here they share a trunk that only learns
+from the critics' loss; actors use it without changing it. Decisions of levels above and the action enter
+after the trunk, so evaluating another intention only costs the small heads.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from athrl_planners.settings import PlannerSettings
 
 ROUTE, DRIVABLE = "route", "drivable"
 NEAR = 0.125
-"""Share of the image's height, from the ego up, in which the near route is seen."""
+"""Share of the image's height, from the ego up, in which the near route is visible."""
 EGO_HEIGHT = 0.625
-"""Where the ego is in the image, as a share of its height from the top."""
+"""Position of the ego in the image, as a share of its height from the top."""
 
 
 def as_pixels(images: Tensor) -> Tensor:
-    """uint8 [n, height, width, channels] -> [n, channels, height, width], 0..255, in what convolutions take.
+    """uint8 [n, height, width, channels] -> [n, channels, height, width], 0..255, in the dtype of
+    convolutions.
 
-    The memory stays in the order of the images, which torch calls channels_last: nothing is moved. bfloat16
-    holds whole numbers up to 256 exactly.
+    The memory layout stays that of the images, which torch calls channels_last: nothing is copied. bfloat16
+    represents integers up to 256 exactly.
     """
     device = images.device.type
     dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
@@ -35,7 +36,7 @@ def as_pixels(images: Tensor) -> Tensor:
 
 
 class Trunk(nn.Module):
-    """Encoder, a dense layer that takes the motion in, and a memory if there is one."""
+    """Encoder, a dense layer that joins image and motion, and an optional memory."""
 
     mask: Tensor | None
 
@@ -64,7 +65,7 @@ class Trunk(nn.Module):
         return self.dense(torch.cat((self.encoder(pixels), motion), dim=1))
 
     def unroll(self, features: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Remember: [time, batch, hidden] and [batch, state] -> [time, batch, context] and the last state."""
+        """Apply the memory: [time, batch, hidden], [batch, state] -> [time, batch, context], last state."""
         if self.memory is None:
             return features, state
         outputs, state = self.memory.unroll(features, state)
@@ -79,7 +80,7 @@ class Trunk(nn.Module):
 
 
 def _mask(view: View, observation: Observation) -> Tensor | None:
-    """What of the image a view leaves, float32 [1, channels, size, size] of 0 and 1; None: all of it."""
+    """Mask of the visible part of the image, float32 [1, channels, size, size]; None: all of it."""
     if view == "everything":
         return None
     size = observation.image_size

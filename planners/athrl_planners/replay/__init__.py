@@ -1,4 +1,4 @@
-"""Replay of experience: a ring of sequences, and what is sampled from it."""
+"""Experience replay: a ring buffer of sequences, and sampled batches."""
 
 from athrl_planners.replay.batches import Batch, Sequence, SequenceBatch, TransitionBatch
 from athrl_planners.replay.sequences import SequenceReplay

@@ -1,6 +1,6 @@
-"""A piece of one episode, and what an update is given: whole sequences, or single transitions.
+"""Sequences of experience, and batches for updates: whole sequences, or single transitions.
 
-Actions and rewards are those of the task, in physical units.
+Actions and rewards are in the physical units of the task.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Sequence:
-    """A piece of one episode; it never crosses the episode's end.
+    """Consecutive decisions of one episode; a sequence never crosses the end of an episode.
 
-    It holds one more observation than decisions: `images[length]` is what was seen after the last decision.
+    It has one more observation than decisions: `images[length]` is the observation after the last decision.
     Decisions from `length` on, and observations after `length`, are padding.
 
     Attributes:
@@ -22,9 +22,10 @@ class Sequence:
         motion: float32 [time + 1, motion].
         actions: of each level float32 [time, n].
         rewards: of each level float32 [time].
-        initial_state: of each level float32 [state], before the first decision; 0 where the episode starts.
+        initial_state: of each level float32 [state], stored state before the first decision; 0 at the start
+            of an episode.
         length: decisions that are not padding, 1..time.
-        terminated: the episode truly ended with the last decision; false if it only ran out of time.
+        terminated: the episode terminated with the last decision; false if it was truncated.
     """
 
     images: np.ndarray
@@ -38,7 +39,7 @@ class Sequence:
 
 @dataclass(frozen=True)
 class SequenceBatch:
-    """Whole sequences, for planners with a memory.
+    """A batch of whole sequences, for planners with a memory.
 
     Attributes:
         images: uint8 [batch, time + 1, height, width, channels].
@@ -48,8 +49,8 @@ class SequenceBatch:
         initial_state: of each level float32 [batch, state].
         length: int64 [batch].
         terminated: bool [batch].
-        places: int64 [batch], where each came from, for its new priority.
-        weights: float32 [batch], importance; a mean of 1 or less.
+        places: int64 [batch], indices in the replay, for new priorities.
+        weights: float32 [batch], importance weights, at most 1.
     """
 
     images: np.ndarray
@@ -70,23 +71,23 @@ class SequenceBatch:
 
 @dataclass(frozen=True)
 class TransitionBatch:
-    """Single decisions and what came of them, for planners without a memory.
+    """A batch of single decisions and their outcomes, for planners without a memory.
 
-    What follows a decision is looked at after some numbers of steps, the horizons, or where the sequence ends
-    if that is earlier.
+    The outcome of a decision is observed after some numbers of steps, the horizons, or at the end of the
+    sequence if that is earlier.
 
     Attributes:
         images: uint8 [1 + horizons, batch, height, width, channels]: at the decision, and after each horizon.
-        motion: float32 [1 + horizons, batch, motion] that goes with them.
+        motion: float32 [1 + horizons, batch, motion], at the same times.
         actions: of each level float32 [batch, n].
         last_actions: of each level float32 [horizons, batch, n]: the last decision before each horizon.
-        rewards: of each level float32 [batch, longest horizon]; 0 behind the sequence's end.
-        steps: int64 [horizons, batch], to what each horizon comes.
-        terminated: bool [horizons, batch], the episode truly ended within it.
-        initial_state: of each level float32 [batch, state], where its sequence begins.
+        rewards: of each level float32 [batch, longest horizon]; 0 after the end of the sequence.
+        steps: int64 [horizons, batch], steps to each horizon.
+        terminated: bool [horizons, batch], the episode terminated within the horizon.
+        initial_state: of each level float32 [batch, state], stored state at the start of its sequence.
         step: int64 [batch], decisions of the sequence before this one.
-        places: int64 [batch], where each came from, for its new priority.
-        weights: float32 [batch], importance; a mean of 1 or less.
+        places: int64 [batch], indices in the replay, for new priorities.
+        weights: float32 [batch], importance weights, at most 1.
     """
 
     images: np.ndarray
@@ -108,4 +109,4 @@ class TransitionBatch:
 
 
 Batch = SequenceBatch | TransitionBatch
-"""What an update is given."""
+"""The input of an update."""

@@ -1,4 +1,4 @@
-"""The state of a PCG64 generator as integers below 2^64, since not every JSON reader takes 128 bits."""
+"""The state of a PCG64 generator as integers below 2^64, since some JSON readers do not accept 128 bits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def to_words(random: np.random.Generator) -> list[int]:
 
 
 def restore_random(random: np.random.Generator, words: Iterable[int]) -> None:
-    """Let a PCG64 generator continue from what `to_words` returned; raises ValueError for anything else."""
+    """Restore a PCG64 generator from what `to_words` returned; raises ValueError for anything else."""
     numbers = [int(word) for word in words]
     if len(numbers) != 6:
         raise ValueError(f"the generator's state has {len(numbers)} numbers; it should have 6")

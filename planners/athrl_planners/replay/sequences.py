@@ -1,4 +1,4 @@
-"""A ring of sequences in preallocated columns, from which sequences or single decisions are sampled."""
+"""A ring buffer of sequences in preallocated columns; samples sequences or single decisions."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from athrl_planners.replay.sampling import PrioritisedSampler, Sampler, UniformS
 class SequenceReplay:
     """Holds the newest sequences. One thread may insert while another samples.
 
-    The columns are allocated with the first insertion, so `bytes` can be announced before. Pieces are drawn
-    with replacement.
+    The columns are allocated with the first insertion, so `bytes` is known before. Items are sampled with
+    replacement.
 
     Args:
-        capacity: decisions that it holds, rounded up to whole sequences.
-        sequence_length: decisions of a sequence.
-        observation: what is seen.
+        capacity: decisions, rounded up to whole sequences.
+        sequence_length: decisions in a sequence.
+        observation: observation of the planner.
         levels: of the planner, highest first.
         seed: of the sampling.
-        horizons: numbers of steps after which transitions are looked at again; none: sequences are sampled
-            whole.
-        priority: exponents of priority and importance; none: everything is equally likely.
+        horizons: numbers of steps after which the outcome of a transition is observed; none: whole sequences
+            are sampled.
+        priority: exponents of priority and importance weight; None: uniform sampling.
 
     Raises:
-        ValueError: it holds no sequence.
+        ValueError: the capacity is less than a sequence.
     """
 
     def __init__(
@@ -54,10 +54,10 @@ class SequenceReplay:
         self._horizons = horizons
         self._layout = _layout(sequence_length, observation, levels)
         self._columns: dict[str, np.ndarray] = {}
-        self._inserted = 0  # sequences ever; the next one goes to slot inserted % slots
+        self._inserted = 0  # sequences so far; the next one goes to slot inserted % slots
         self._transitions = 0
         self._random = np.random.Generator(np.random.PCG64(seed))
-        self._pieces_of_a_slot = sequence_length if horizons else 1
+        self._items_per_slot = sequence_length if horizons else 1
         self._priority = priority
         self.prioritised = priority is not None
         self._sampler = self._new_sampler()
@@ -71,15 +71,15 @@ class SequenceReplay:
 
     @property
     def sequences(self) -> int:
-        """Sequences that are stored."""
+        """Stored sequences."""
         return min(self._inserted, self.slots)
 
     def __len__(self) -> int:
-        """Transitions that are stored, padding not counted."""
+        """Stored transitions, without padding."""
         return self._transitions
 
     def insert(self, sequence: Sequence) -> None:
-        """Store a copy, in a full ring over the oldest sequence; raises ValueError if it does not fit."""
+        """Store a copy; a full buffer replaces its oldest sequence. Raises ValueError if it does not fit."""
         row = self._row(sequence)
         with self._lock:
             self._allocate()
@@ -93,7 +93,7 @@ class SequenceReplay:
             self._put(slot, sequence.length)
 
     def sample(self, decisions: int) -> Batch:
-        """Draw a batch, as copies: single decisions, or as many whole sequences as come nearest to that.
+        """Sample a batch, as copies: single decisions, or the number of whole sequences nearest to it.
 
         Raises:
             ValueError: the replay is empty.
@@ -106,19 +106,19 @@ class SequenceReplay:
             count = max(1, round(decisions / self.sequence_length))
             return self._sequence_batch(*self._sampler.draw(count, self._random))
 
-    def learnt(self, batch: Batch, errors: np.ndarray) -> None:
-        """Remember how wrong the critics were about a batch: absolute errors float32 [batch]."""
+    def update_priorities(self, batch: Batch, errors: np.ndarray) -> None:
+        """Set the priorities of a batch from its absolute errors, float32 [batch]."""
         if self._priority is None:
             return
         with self._lock:
-            self._sampler.learnt(batch.places, errors)
+            self._sampler.update_priorities(batch.places, errors)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """What is stored, by column: views [sequences, ...] in the order of the slots; none while empty."""
+        """Stored sequences by column: views [sequences, ...] in order of slots; empty if there are none."""
         return {name: column[: self.sequences] for name, column in self._columns.items()}
 
     def state(self) -> dict[str, Any]:
-        """What a restored replay needs beside its sequences: counts and the generator's state, JSON-able."""
+        """State of the replay besides its sequences: counts and the generator's state, JSON-able."""
         with self._lock:
             return {
                 "inserted": self._inserted,
@@ -127,36 +127,37 @@ class SequenceReplay:
             }
 
     def priorities(self) -> dict[str, Any]:
-        """The priorities, as arrays and plain values; empty where everything is equally likely."""
+        """The priorities, as arrays and plain values; empty for uniform sampling."""
         with self._lock:
             return self._sampler.state()
 
     def load_priorities(self, state: Mapping[str, Any]) -> None:
-        """Draw as the replay that `priorities()` was of, where the same sequences lie in the same slots.
+        """Restore `priorities()` of a replay with the same sequences in the same slots.
 
         Raises:
-            ValueError: it is of a replay of another size.
+            ValueError: it belongs to a replay of another size.
         """
         if state and self._priority is not None:
             with self._lock:
                 self._sampler.load_state(dict(state))
 
     def load_state(self, state: Mapping[str, Any], sequences: Iterable[Sequence]) -> int:
-        """Become what `state` was taken from.
+        """Restore the replay of `state`.
 
-        With all the sequences that were stored then, and the same capacity, every one comes to its old slot
-        and the next samples are the same. With fewer of them (some were damaged), or another capacity, the
-        newest that there are fill the replay from its first slot on.
+        With all sequences of that replay and the same capacity, every sequence gets its old slot and the next
+        samples are the same. With fewer sequences (some were damaged) or another capacity, the newest ones
+        fill the replay from the first slot on.
 
         Args:
-            state: what `state()` returned, perhaps by way of JSON.
-            sequences: what was stored, oldest first.
+            state: what `state()` returned, maybe via JSON.
+            sequences: the stored sequences, oldest first.
 
         Returns:
-            How many sequences there were.
+            Number of given sequences.
 
         Raises:
-            KeyError, TypeError, ValueError: `state` or a sequence does not fit; the replay is not usable.
+            KeyError, TypeError, ValueError: `state` or a sequence does not fit; the replay cannot be used
+                then.
         """
         inserted, expected = int(state["inserted"]), int(state["sequences"])
         if not 0 <= expected <= inserted:
@@ -172,11 +173,11 @@ class SequenceReplay:
         found = self._inserted - begin
         with self._lock:
             if found < self.sequences:
-                self._begin_at_the_first_slot(begin, found)
+                self._move_to_first_slot(begin, found)
         return found
 
-    def _begin_at_the_first_slot(self, begin: int, found: int) -> None:
-        """Move fewer sequences than slots, the first of them at `begin`, so that none before is empty."""
+    def _move_to_first_slot(self, begin: int, found: int) -> None:
+        """Move fewer sequences than slots, of which the first is at `begin`, to the first slots."""
         for name, column in self._columns.items():
             self._columns[name] = np.roll(column, -(begin % self.slots), axis=0)
         self._inserted = found
@@ -185,16 +186,14 @@ class SequenceReplay:
             self._put(slot, int(self._columns["length"][slot]))
 
     def _new_sampler(self) -> Sampler:
-        pieces = self.slots * self._pieces_of_a_slot
-        return (
-            UniformSampler(pieces) if self._priority is None else PrioritisedSampler(pieces, *self._priority)
-        )
+        items = self.slots * self._items_per_slot
+        return UniformSampler(items) if self._priority is None else PrioritisedSampler(items, *self._priority)
 
     def _put(self, slot: int, length: int) -> None:
-        """Let the pieces of a slot be drawn, all but its padding."""
-        pieces = np.arange(self._pieces_of_a_slot)
-        present = pieces < length if self._horizons else np.ones(1, bool)
-        self._sampler.put(slot * self._pieces_of_a_slot + pieces, present)
+        """Make the items of a slot available for sampling, except padding."""
+        items = np.arange(self._items_per_slot)
+        present = items < length if self._horizons else np.ones(1, bool)
+        self._sampler.put(slot * self._items_per_slot + items, present)
 
     def _sequence_batch(self, slots: np.ndarray, weights: np.ndarray) -> SequenceBatch:
         rows = {name: column[slots] for name, column in self._columns.items()}
@@ -211,7 +210,7 @@ class SequenceReplay:
         )
 
     def _transition_batch(self, places: np.ndarray, weights: np.ndarray) -> TransitionBatch:
-        """Look up decisions by their numbers: `slot * sequence_length + step`."""
+        """Look up decisions by their indices: `slot * sequence_length + step`."""
         columns, time = self._columns, self.sequence_length
         slots, step = np.divmod(places, time)
         length = columns["length"][slots]
@@ -247,7 +246,7 @@ class SequenceReplay:
             }
 
     def _row(self, sequence: Sequence) -> dict[str, np.ndarray]:
-        """The sequence as a row of the columns, checked."""
+        """The sequence as a row of the columns, after checking it."""
         if not 1 <= sequence.length <= self.sequence_length:
             raise ValueError(f"the length is {sequence.length}; it should be 1..{self.sequence_length}")
         row: dict[str, np.ndarray] = {
@@ -266,7 +265,7 @@ class SequenceReplay:
 
 
 def _rows(column: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Observations by their numbers over all sequences: a copy [*places, ...]."""
+    """Observations by their indices over all sequences: a copy [*places, ...]."""
     flat = column.reshape(column.shape[0] * column.shape[1], -1)
     return np.take(flat, places.ravel(), axis=0).reshape(*places.shape, *column.shape[2:])
 

@@ -1,4 +1,4 @@
-"""A sum tree: leaves with weights, of which one is found by a share of their sum in logarithmic time."""
+"""A sum tree: finds the leaf at a share of the sum of weights in logarithmic time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 
 class SumTree:
-    """Weights of `size` leaves; all begin at 0. The work is done for many leaves in one call."""
+    """Weights of `size` leaves, 0 at first. Each call handles many leaves."""
 
     def __init__(self, size: int) -> None:
         self._levels = max(1, (size - 1).bit_length())
-        self._first = 1 << self._levels  # of the leaves in the heap
+        self._first = 1 << self._levels  # index of the first leaf in the heap
         self._size = size
         self._nodes = np.zeros(2 * self._first)
 
@@ -29,7 +29,7 @@ class SumTree:
         return self._nodes[self._first : self._first + self._size]
 
     def set(self, leaves: NDArray[np.int64], weights: NDArray[np.floating] | float) -> None:
-        """Give leaves other weights; of a leaf that comes twice the last one counts."""
+        """Set weights of leaves; of a leaf that occurs twice the last one counts."""
         places = self._first + np.asarray(leaves)
         self._nodes[places] = weights
         places = np.unique(places >> 1)
@@ -44,7 +44,7 @@ class SumTree:
         for _ in range(self._levels):
             left = 2 * place
             weight = self._nodes[left]
-            # To the right only where something is: rounding may have left a rest beyond the last weight.
+            # To the right only if its sum is positive: rounding may leave a rest beyond the last weight.
             right = (rest >= weight) & (self._nodes[left + 1] > 0)
             rest = np.where(right, rest - weight, np.minimum(rest, weight))
             place = left + right

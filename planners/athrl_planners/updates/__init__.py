@@ -1,4 +1,4 @@
-"""How a level learns: update rules, and what critics predict."""
+"""Update rules of a level, and the value representations of critics."""
 
 from athrl_planners.updates.deterministic import DeterministicRule
 from athrl_planners.updates.q_learning import QLearningRule
@@ -20,7 +20,7 @@ __all__ = [
 
 
 def make_rule(name: str) -> type[UpdateRule]:
-    """The rule that a level's plan names; raises ValueError for one that does not exist."""
+    """The update rule with this name; raises ValueError if there is none."""
     rules: dict[str, type[UpdateRule]] = {
         "ddpg": DeterministicRule,
         "td3": DeterministicRule,

@@ -1,8 +1,8 @@
-"""Adam over a fixed list of parameters, by torch's fused kernel.
+"""Adam for a fixed list of parameters, with torch's fused kernel.
 
-`torch.optim.Adam` computes the same, bit for bit (a test holds them together). But making one imports torch's
-compiler with sympy and triton, which nobody here uses: 1.4 s of a learner's start, so of the time until a
-killed one is back, and 140 MiB of its memory.
+`torch.optim.Adam` computes the same, bit for bit (a test compares them). But it imports torch's compiler with
+sympy and triton, which are not used here: 1.4 s of a learner's start, and so of its restart after a kill, and
+140 MiB of its memory.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Adam:
 
     @torch.no_grad()
     def step(self, learning_rate: float | Tensor | None = None) -> None:
-        """Apply the gradients that there are, and drop them; with another step size than usual if given.
+        """Apply existing gradients and clear them, with another step size if one is given.
 
-        As a tensor, float [], it is read when the kernel runs: what is recorded follows it.
+        A tensor, float [], is read when the kernel runs, so a recorded step can change its step size.
         """
         moving = [
             (parameter, parameter.grad, state)
@@ -58,14 +58,14 @@ class Adam:
             parameter.grad = None
 
     def state_dict(self) -> dict[str, Any]:
-        """What `torch.optim.Adam` calls `state`, by the parameters' places; the tensors are Adam's own."""
+        """`state` as in `torch.optim.Adam`, by index of the parameter; the tensors are not copied."""
         return {"state": {place: dict(state) for place, state in enumerate(self._state)}}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue from a state of this class or of `torch.optim.Adam`, which has none before its first step.
+        """Continue from a state of this class or of `torch.optim.Adam`, which is empty before its first step.
 
         Raises:
-            ValueError: it is of other parameters.
+            ValueError: it belongs to other parameters.
         """
         self.require_fitting(state)
         moments = self._moments(state)
@@ -74,7 +74,7 @@ class Adam:
                 own[name] = moments[place][name].detach().clone().to(parameter.device)
 
     def require_fitting(self, state: Mapping[str, Any]) -> None:
-        """Look at a state without taking it; raises ValueError if it is of other parameters."""
+        """Check a state without loading it; raises ValueError if it belongs to other parameters."""
         moments = self._moments(state)
         if set(moments) != set(range(len(self._parameters))):
             raise ValueError(
@@ -90,7 +90,7 @@ class Adam:
                     )
 
     def _moments(self, state: Mapping[str, Any]) -> Mapping[int, Mapping[str, Tensor]]:
-        """What a state has for each parameter's place."""
+        """The moments in a state by index of the parameter."""
         return state["state"] or dict(enumerate(map(_fresh, self._parameters)))
 
 

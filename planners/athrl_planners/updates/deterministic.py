@@ -4,9 +4,10 @@
     actor       maximise  Q_1(s, pi(s)) - saturation_penalty * |output before the tanh|^2
     decision    pi(s) = min(max(action_reach * tanh(output), -1), 1)
 
-DDPG has one critic, no noise on target actions and no delay of its actors. The penalty is ours: without it
-the tanh sticks at its ends within some hundred updates. With it the ends are never reached, and a car that
-cannot decide on a speed of 0 creeps into the one that it waits for; so is the reach.
+DDPG has one critic, no target policy smoothing and no policy delay. The penalty is an addition of this
+project: without it the tanh saturates within some hundred updates. With it the ends of a range are never
+reached, and a vehicle that cannot decide a speed of 0 creeps into the one ahead; so the reach is another
+addition.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ from athrl_spaces import Continuous
 from torch import Tensor, nn
 
 from athrl_planners.networks.heads import Actor, Critic
-from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
+from athrl_planners.updates.noise import NoiseSource
 from athrl_planners.updates.rule import LevelNetworks, Objective, Step, UpdateRule, centre_and_half_range
 from athrl_planners.updates.values import Values
 
 NOISE_CLIP = 2.5
-"""Deviations at which the noise on target actions is cut; TD3's 0.5 at its noise of 0.2."""
+"""Deviations at which the noise of target policy smoothing is clipped; in TD3 0.5 for a noise of 0.2."""
 
 
 class ContinuousRule(UpdateRule):
-    """What rules for numbers have in common."""
+    """Base of the rules for continuous actions."""
 
     centre: Tensor
     half_range: Tensor
@@ -71,7 +72,7 @@ class ContinuousRule(UpdateRule):
         return self.centre + self.half_range * encoded
 
     def value_of(self, critic: nn.Module, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
-        """What a critic says about decisions: [n, outputs]."""
+        """Outputs of a critic for decisions: [n, outputs]."""
         return critic(context, above, taken).float()
 
 
@@ -98,10 +99,10 @@ class DeterministicRule(ContinuousRule):
             action = action + noise
         return self.decode(self.encode(action).clamp(-1, 1))
 
-    def following(
+    def next_step(
         self, target: LevelNetworks, online: LevelNetworks, contexts: tuple[Tensor, Tensor], above: Tensor
     ) -> Step:
-        """The target actor's action, with clipped noise in TD3, and what target critics say about it."""
+        """The target actor's action, with clipped noise in TD3, and the target critics' value."""
         assert target.actor is not None
         context = contexts[0]
         action = self._reach(target.actor(context, above).float())
@@ -113,7 +114,7 @@ class DeterministicRule(ContinuousRule):
     def objective(
         self, networks: LevelNetworks, context: Tensor, above: Tensor, penalised: bool = True
     ) -> Objective:
-        """The first critic's value of the actor's action, less the penalty on saturation."""
+        """The first critic's value of the actor's action, minus the penalty on saturation."""
         assert networks.actor is not None
         raw = networks.actor(context, above).float()
         action = self._reach(raw)
@@ -122,7 +123,7 @@ class DeterministicRule(ContinuousRule):
         return Objective(value - penalty, action, raw)
 
     def _reach(self, raw: Tensor) -> Tensor:
-        """What an actor's output decides: [n, actions] in [-1, 1]."""
+        """Action of an actor's output: [n, actions] in [-1, 1]."""
         action = torch.tanh(raw)
         reach = self.settings.action_reach
         return action if reach == 1 else (action * reach).clamp(-1, 1)

@@ -13,14 +13,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from athrl_planners.networks.heads import ChoiceCritic
-from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
+from athrl_planners.updates.noise import NoiseSource
 from athrl_planners.updates.rule import LevelNetworks, Step, UpdateRule
 from athrl_planners.updates.values import Values
 
 
 class QLearningRule(UpdateRule):
-    """A choice by its values."""
+    """DQN: the choice with the highest value."""
 
     actor_delay = 0
 
@@ -51,21 +51,21 @@ class QLearningRule(UpdateRule):
         )
 
     def encode(self, actions: Tensor) -> Tensor:
-        """An index [n, 1] -> a 1 in its column."""
+        """Index [n, 1] -> one-hot [n, choices]."""
         return functional.one_hot(actions[:, 0].long(), self.encoded_size).to(torch.float32)
 
     def decode(self, encoded: Tensor) -> Tensor:
-        """The column of the 1 -> an index [n, 1]."""
+        """One-hot [n, choices] -> index [n, 1]."""
         return encoded.argmax(dim=1, keepdim=True).to(torch.float32)
 
     def decide(self, deciding: nn.Module, context: Tensor, above: Tensor, noise: Tensor | None) -> Tensor:
         """The choice with the highest value."""
         return self.decode(self.values.mean(deciding(context, above)))
 
-    def following(
+    def next_step(
         self, target: LevelNetworks, online: LevelNetworks, contexts: tuple[Tensor, Tensor], above: Tensor
     ) -> Step:
-        """The best choice, by the target critics' values or, double, by the online one's; and its value."""
+        """The best choice by the target critics or, with double DQN, by the online critic; and its value."""
         outputs = [critic(contexts[0], above).float() for critic in target.critics]
         chooser = online.critics[0](contexts[1], above).float() if self.settings.double else outputs[0]
         best = self.values.mean(chooser).argmax(dim=1)
@@ -73,12 +73,12 @@ class QLearningRule(UpdateRule):
         return Step(action, lambda: self.smaller([_of(output, action) for output in outputs]), None)
 
     def value_of(self, critic: nn.Module, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
-        """What a critic says about choices [n, choices]: [n, outputs]."""
+        """Outputs of a critic for choices [n, choices]: [n, outputs]."""
         return _of(critic(context, above).float(), taken)
 
     @property
-    def needs_online_following(self) -> bool:
-        """Double DQN asks the online network what it would choose."""
+    def needs_online_next(self) -> bool:
+        """Double DQN uses the online network's choice."""
         return bool(self.settings.double)
 
     @property
@@ -88,6 +88,6 @@ class QLearningRule(UpdateRule):
 
 
 def _of(output: Tensor, taken: Tensor) -> Tensor:
-    """Of [n, choices, outputs] the outputs of the choices that were taken, [n, outputs]."""
+    """Outputs of the taken choices, [n, outputs], of [n, choices, outputs]."""
     index = taken.argmax(dim=1).view(-1, 1, 1).expand(-1, 1, output.shape[2])
     return output.gather(1, index).squeeze(1)

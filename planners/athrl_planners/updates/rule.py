@@ -1,7 +1,7 @@
-"""What every update rule can do. A rule knows one level; what it says is normalised.
+"""The interface of update rules. A rule is for one level; its decisions are encoded.
 
-Numbers lie in [-1, 1], a choice is written as one 1 among zeros. `context` float32 [n, context] is a trunk's
-output, `above` float32 [n, above] what the levels above have decided, perhaps of no columns.
+Encoded numbers are in [-1, 1], an encoded choice is one-hot. `context` float32 [n, context] is the output of
+a trunk, `above` float32 [n, above] the decisions of the levels above; it may have no columns.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import torch
 from athrl_spaces import Action
 from torch import Tensor, nn
 
-from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
+from athrl_planners.updates.noise import NoiseSource
 from athrl_planners.updates.values import Values
 
 
 class LevelNetworks(nn.Module):
-    """The heads of a level: an actor, unless a choice follows from the values, and critics."""
+    """The heads of a level: critics, and an actor unless choices follow from the values."""
 
     def __init__(self, actor: nn.Module | None, critics: list[nn.Module]) -> None:
         super().__init__()
@@ -29,23 +29,23 @@ class LevelNetworks(nn.Module):
 
     @property
     def deciding(self) -> nn.Module:
-        """What is published: the actor, or the critic whose best choice is taken."""
+        """The published network: the actor, or the critic whose best choice is taken."""
         return self.critics[0] if self.actor is None else self.actor
 
 
 class Step(NamedTuple):
-    """A level's next decision as a target sees it."""
+    """A level's next decision, for a target."""
 
     action: Tensor
     """[n, encoded]"""
     output: Callable[[], Tensor]
-    """Computes what the target critic that counts says: [n, outputs]."""
+    """Computes the output of the target critic that counts: [n, outputs]."""
     bonus: Tensor | None
     """[n] added to the value, in scaled reward."""
 
 
 class Objective(NamedTuple):
-    """What an actor climbs."""
+    """The objective of an actor."""
 
     gain: Tensor
     """[n]"""
@@ -56,11 +56,11 @@ class Objective(NamedTuple):
 
 
 class UpdateRule(ABC, nn.Module):
-    """How a level decides and learns.
+    """Decides and computes targets and objectives of a level.
 
     Attributes:
-        encoded_size: columns of its decision as networks see it.
-        actor_delay: critic updates for each actor update; 0: there is no actor.
+        encoded_size: columns of its encoded decision.
+        actor_delay: policy delay, critic updates for each actor update; 0 without an actor.
     """
 
     encoded_size: int
@@ -74,7 +74,7 @@ class UpdateRule(ABC, nn.Module):
         sizes: tuple[int, int],
         noise: NoiseSource,
     ) -> None:
-        """`sizes` are columns of the context and of what is decided above; `noise` is for updates."""
+        """`sizes` are the columns of the context and of the decisions above; `noise` is for updates."""
         super().__init__()
         self.plan, self.settings, self.values = plan, settings, values
         self.context_size, self.above_size = sizes
@@ -87,42 +87,42 @@ class UpdateRule(ABC, nn.Module):
 
     @abstractmethod
     def make_networks(self) -> LevelNetworks:
-        """Fresh networks."""
+        """New networks."""
 
     @abstractmethod
     def encode(self, actions: Tensor) -> Tensor:
-        """Decisions [n, n_actions] in physical units, or an index, as networks see them: [n, encoded]."""
+        """Encode decisions [n, n_actions] in physical units, or an index: [n, encoded]."""
 
     @abstractmethod
     def decode(self, encoded: Tensor) -> Tensor:
-        """The reverse of `encode`."""
+        """Inverse of `encode`."""
 
     @abstractmethod
     def decide(self, deciding: nn.Module, context: Tensor, above: Tensor, noise: Tensor | None) -> Tensor:
-        """A decision [n, n_actions], physical units or index, in its range; part of the artefact."""
+        """Decision [n, n_actions], physical units or index, within its range; part of the artefact."""
 
     @abstractmethod
-    def following(
+    def next_step(
         self, target: LevelNetworks, online: LevelNetworks, contexts: tuple[Tensor, Tensor], above: Tensor
     ) -> Step:
-        """The next decision and its value; `contexts` are the target trunk's and the online trunk's there."""
+        """The next decision and its value; `contexts` are those of the target and the online trunk."""
 
     @abstractmethod
     def value_of(self, critic: nn.Module, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
-        """What a critic says about decisions [n, encoded]: [n, outputs]."""
+        """Outputs of a critic for decisions [n, encoded]: [n, outputs]."""
 
     def objective(
         self, networks: LevelNetworks, context: Tensor, above: Tensor, penalised: bool = True
     ) -> Objective:
-        """What the actor climbs, only where there is one; without its penalties what a level above climbs."""
+        """The actor's objective, if there is an actor; without penalties it is for the level above."""
         raise NotImplementedError
 
     def target_output(self, target: LevelNetworks, context: Tensor, above: Tensor, taken: Tensor) -> Tensor:
-        """What target critics say about decisions [n, encoded], of two the smaller: [n, outputs]."""
+        """Outputs of the target critics for decisions [n, encoded], with two the smaller: [n, outputs]."""
         return self.smaller([self.value_of(critic, context, above, taken) for critic in target.critics])
 
     def smaller(self, outputs: list[Tensor]) -> Tensor:
-        """Of the outputs [n, outputs] of one or two critics the one with the smaller value, row by row."""
+        """Per row, the outputs [n, outputs] of the critic with the smaller value, of one or two."""
         if len(outputs) == 1:
             return outputs[0]
         first, second = outputs
@@ -130,8 +130,8 @@ class UpdateRule(ABC, nn.Module):
         return torch.where(smaller.unsqueeze(-1), first, second)
 
     @property
-    def needs_online_following(self) -> bool:
-        """Whether `following` looks at the online trunk's contexts."""
+    def needs_online_next(self) -> bool:
+        """Whether `next_step` uses the online trunk's contexts."""
         return False
 
     @property
@@ -141,7 +141,7 @@ class UpdateRule(ABC, nn.Module):
 
 
 def centre_and_half_range(actions: tuple[Action, ...]) -> tuple[Tensor, Tensor]:
-    """Of continuous actions: float32 [n] each."""
+    """Centre and half-range of continuous actions: float32 [n] each."""
     low = torch.tensor([action.bounds[0] for action in actions])
     high = torch.tensor([action.bounds[1] for action in actions])
     return (high + low) / 2, (high - low) / 2

@@ -1,8 +1,8 @@
-"""SAC (Haarnoja et al. 2018): random actors, whose entropy is worth something.
+"""SAC (Haarnoja et al. 2018): stochastic actors with an entropy bonus.
 
 target       r + discount * (min_i Q_i'(s', a') - temperature * log pi'(a' | s')),  a' ~ pi'(. | s')
 actor        maximise  min_i Q_i(s, a) - temperature * log pi(a | s),                a ~ pi(. | s)
-temperature  rises while the entropy is below the wanted one, else falls
+temperature  rises while the entropy is below its target, else falls
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from athrl_planners.noise import NoiseSource
 from athrl_planners.planner import LevelPlan
 from athrl_planners.updates.deterministic import ContinuousRule
+from athrl_planners.updates.noise import NoiseSource
 from athrl_planners.updates.rule import LevelNetworks, Objective, Step
 from athrl_planners.updates.values import Values
 
@@ -25,7 +25,7 @@ LOG_DEVIATION = (-5.0, 1.0)
 
 
 class SoftRule(ContinuousRule):
-    """SAC with a learnt temperature; in targets the target actor decides, in Haarnoja's the online one."""
+    """SAC with a learnt temperature; targets use the target actor, in Haarnoja et al. the online one."""
 
     stochastic = True
     actor_delay = 1
@@ -43,15 +43,15 @@ class SoftRule(ContinuousRule):
         self._wanted_entropy = settings.sac_target_entropy * self.encoded_size
 
     def decide(self, deciding: nn.Module, context: Tensor, above: Tensor, noise: Tensor | None) -> Tensor:
-        """The mean action, or with standard normal `noise` a random one."""
+        """The mean action, or with standard normal `noise` a sampled one."""
         mean, deviation = _distribution(deciding(context, above))
         raw = mean if noise is None else mean + deviation * noise
         return self.decode(torch.tanh(raw))
 
-    def following(
+    def next_step(
         self, target: LevelNetworks, online: LevelNetworks, contexts: tuple[Tensor, Tensor], above: Tensor
     ) -> Step:
-        """A random action of the target actor and what target critics say about it, with its entropy."""
+        """A sampled action of the target actor, and its value by the target critics with its entropy."""
         assert target.actor is not None
         action, log_probability, _ = self._sample(target.actor(contexts[0], above).float())
         bonus = -self.log_temperature.detach().exp() * log_probability
@@ -60,7 +60,7 @@ class SoftRule(ContinuousRule):
     def objective(
         self, networks: LevelNetworks, context: Tensor, above: Tensor, penalised: bool = True
     ) -> Objective:
-        """The smaller critic's value of a random action and its entropy; the temperature learns beside it."""
+        """The smaller critic's value of a sampled action with its entropy; also trains the temperature."""
         assert networks.actor is not None
         action, log_probability, raw = self._sample(networks.actor(context, above).float())
         output = self.smaller([self.value_of(critic, context, above, action) for critic in networks.critics])
@@ -72,12 +72,12 @@ class SoftRule(ContinuousRule):
         return Objective(gain + self.log_temperature * missing, action, raw)
 
     def _sample(self, output: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """A random action [n, actions], its log density [n], and the mean [n, actions] before the tanh."""
+        """A sampled action [n, actions], its log density [n], and the mean [n, actions] before the tanh."""
         mean, deviation = _distribution(output)
         noise = self.noise.normal_like(mean)
         raw = mean + deviation * noise
         log_density = -0.5 * noise.square() - deviation.log() - 0.5 * math.log(2 * math.pi)
-        # log(1 - tanh(x)^2), which is exact where tanh is 1
+        # log(1 - tanh(x)^2), exact where tanh is 1
         squashed = 2 * (math.log(2) - raw - functional.softplus(-2 * raw))
         return torch.tanh(raw), (log_density - squashed).sum(dim=1), mean
 

@@ -1,4 +1,4 @@
-"""What a critic predicts: the mean of the return, or a distribution over returns (C51)."""
+"""Value representations of critics: the mean return, or a distribution over returns (C51)."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class ScalarValues(nn.Module):
         """[..., 1] -> the value [...]."""
         return output.squeeze(-1)
 
-    def target(self, reward: Tensor, discount: Tensor, following: Tensor) -> Tensor:
-        """reward [n] + discount [n] * the value of `following` [n, 1]."""
-        return reward + discount * self.mean(following)
+    def target(self, reward: Tensor, discount: Tensor, next_output: Tensor) -> Tensor:
+        """reward [n] + discount [n] * the value of `next_output` [n, 1]."""
+        return reward + discount * self.mean(next_output)
 
     def loss(self, output: Tensor, target: Tensor) -> Tensor:
         """The loss of each prediction [n, 1] against a target [n]: [n]."""
@@ -32,12 +32,12 @@ class ScalarValues(nn.Module):
         return loss(self.mean(output), target, reduction="none")
 
     def target_mean(self, target: Tensor) -> Tensor:
-        """The value that a target [n] stands for: [n]."""
+        """The mean value of a target [n]: [n]."""
         return target
 
 
 class DistributionalValues(nn.Module):
-    """A critic whose outputs are logits of atoms, evenly from `value_min` to `value_max`.
+    """A critic whose outputs are logits of atoms, evenly spaced from `value_min` to `value_max`.
 
     Bellemare et al. 2017, "A Distributional Perspective on Reinforcement Learning" (C51). Targets are
     probabilities, float32 [n, atoms].
@@ -57,18 +57,18 @@ class DistributionalValues(nn.Module):
         """Logits [..., atoms] -> the value [...]."""
         return (output.softmax(dim=-1) * self.support).sum(dim=-1)
 
-    def target(self, reward: Tensor, discount: Tensor, following: Tensor) -> Tensor:
-        """The distribution of reward [n] + discount [n] * what the logits `following` [n, atoms] say.
+    def target(self, reward: Tensor, discount: Tensor, next_output: Tensor) -> Tensor:
+        """The distribution of reward [n] + discount [n] * value, with logits `next_output` [n, atoms].
 
-        Its mass goes to the two atoms that each shifted atom lies between; beyond the support, to its end.
+        The mass of each shifted atom goes to its two neighbouring atoms; beyond the support, to its end.
         """
-        probabilities = following.softmax(dim=1)
+        probabilities = next_output.softmax(dim=1)
         width = (self._high - self._low) / (self.outputs - 1)
         shifted = (reward[:, None] + discount[:, None] * self.support).clamp(self._low, self._high)
         place = (shifted - self._low) / width
         below = place.floor()
         share = place - below
-        index = below.long().clamp(0, self.outputs - 1)  # a reward that is no number stays one in the shares
+        index = below.long().clamp(0, self.outputs - 1)  # a NaN reward stays NaN in the shares
         target = torch.zeros_like(probabilities)
         target.scatter_add_(1, index, probabilities * (1 - share))
         return target.scatter_add_(1, (index + 1).clamp(max=self.outputs - 1), probabilities * share)
@@ -78,7 +78,7 @@ class DistributionalValues(nn.Module):
         return -(target * functional.log_softmax(output, dim=1)).sum(dim=1)
 
     def target_mean(self, target: Tensor) -> Tensor:
-        """The value that a target [n, atoms] stands for: [n]."""
+        """The mean value of a target [n, atoms]: [n]."""
         return target @ self.support
 
 
@@ -86,5 +86,5 @@ Values = ScalarValues | DistributionalValues
 
 
 def make_values(settings: PlannerSettings) -> Values:
-    """What `settings.critic` names."""
+    """The representation that `settings.critic` names."""
     return ScalarValues(settings) if settings.critic == "scalar" else DistributionalValues(settings)

@@ -1,4 +1,4 @@
-"""What the learner and the evaluators announce: run file, policy, state and results, newest only."""
+"""What learner and evaluators announce: run file, policy, state and results; only the newest values."""
 
 from athrl_protocol.announcements.evaluation import (
     EvaluationPublisher,

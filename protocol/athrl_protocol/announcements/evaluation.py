@@ -1,4 +1,4 @@
-"""Results of evaluations: each evaluator to all; of each driver in each town a latecomer gets the newest."""
+"""Results of evaluations; late subscribers get the newest result of each driver in each town."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import zenoh
 
-from athrl_protocol import athrl_pb2
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
-from athrl_protocol.closing import Closing
-from athrl_protocol.keys import Keys
-from athrl_protocol.limits import LARGEST_NUMBERS
-from athrl_protocol.schema import check_numbers, check_text, decode_message, encode_message
+from athrl_protocol.messages import athrl_pb2
+from athrl_protocol.messages.keys import Keys
+from athrl_protocol.messages.limits import LARGEST_NUMBERS
+from athrl_protocol.messages.schema import check_numbers, check_text, decode_message, encode_message
+from athrl_protocol.transport.closeable import Closeable
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,13 @@ def _decode(payload: bytes) -> EvaluationResult:
     )
 
 
-class EvaluationPublisher(Closing):
+class EvaluationPublisher(Closeable):
     """Publishes results, used by an evaluator.
 
     Args:
         session: an open session.
         run: name of the run.
-        name: the evaluator's, so that two evaluators do not replace each other's results.
+        name: name of the evaluator, so that two evaluators do not replace each other's results.
     """
 
     def __init__(self, session: zenoh.Session, run: str, name: str = "evaluator") -> None:
@@ -80,7 +80,7 @@ class EvaluationPublisher(Closing):
         self._publishers: dict[tuple[str, str], TypedPublisher[EvaluationResult]] = {}
 
     def publish(self, result: EvaluationResult) -> None:
-        """Make `result` the newest of its driver in its town and send it to all."""
+        """Make `result` the newest of its driver in its town and send it to all subscribers."""
         which = result.driver, result.town
         if which not in self._publishers:
             key = self._keys.evaluation(self._name, *which)
@@ -88,13 +88,13 @@ class EvaluationPublisher(Closing):
         self._publishers[which].publish(result)
 
     def close(self) -> None:
-        """Stop publishing; latecomers get no answer any more."""
+        """Stop publishing; late subscribers get no answer any more."""
         for publisher in self._publishers.values():
             publisher.close()
 
 
 class EvaluationSubscriber(TypedSubscriber[EvaluationResult]):
-    """Receives the results of all evaluators; `newest` is the one that arrived last."""
+    """Receives the results of all evaluators; `newest` is the last that arrived."""
 
     def __init__(
         self, session: zenoh.Session, run: str, on_value: Callable[[EvaluationResult], None] | None = None

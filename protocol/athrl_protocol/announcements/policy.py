@@ -9,15 +9,15 @@ from dataclasses import dataclass
 
 import zenoh
 
-from athrl_protocol import athrl_pb2
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
 from athrl_protocol.errors import InvalidMessage
-from athrl_protocol.keys import Keys
-from athrl_protocol.limits import LARGEST_POLICY
-from athrl_protocol.schema import decode_message, encode_message
+from athrl_protocol.messages import athrl_pb2
+from athrl_protocol.messages.keys import Keys
+from athrl_protocol.messages.limits import LARGEST_POLICY
+from athrl_protocol.messages.schema import decode_message, encode_message
 
 REMIND_SECONDS = 0.5
-"""An actor to which a policy did not come learns of it after so long, and asks: it has it within a second."""
+"""Seconds between reminders, so that an actor that missed a policy has it within a second."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,13 @@ class PolicyUpdate:
     """A published policy.
 
     Attributes:
-        version: grows by publication; after a learner's restart it may continue from a lower number.
+        version: grows with each publication; after a restart of the learner it may continue at a lower
+            number.
         artefact: the ONNX file.
         uniform_exploration: actors draw actions uniformly (the warm-up).
         noise_scale: factor on the artefact's exploration noise.
         updates: of the planner when it was published.
-        environment_steps: taken in when it was published.
+        environment_steps: accepted when it was published.
         published_at: unix seconds.
     """
 

@@ -1,4 +1,4 @@
-"""The state of a run: learner to all, each second."""
+"""The state of a run: from the learner to all services, each second."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from enum import Enum
 
 import zenoh
 
-from athrl_protocol import athrl_pb2
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
 from athrl_protocol.errors import InvalidMessage
-from athrl_protocol.keys import Keys
-from athrl_protocol.limits import LARGEST_NUMBERS
-from athrl_protocol.schema import check_text, decode_message, encode_message
+from athrl_protocol.messages import athrl_pb2
+from athrl_protocol.messages.keys import Keys
+from athrl_protocol.messages.limits import LARGEST_NUMBERS
+from athrl_protocol.messages.schema import check_text, decode_message, encode_message
 
 
 class Phase(Enum):
-    """Where a run is."""
+    """Phase of a run."""
 
     WARMING_UP = athrl_pb2.RunState.WARMING_UP
     TRAINING = athrl_pb2.RunState.TRAINING
@@ -30,12 +30,12 @@ class RunState:
     """The state of a run.
 
     Attributes:
-        phase: where the run is; draining means it was stopped early and can be resumed.
-        environment_steps: decisions taken in so far.
+        phase: phase of the run; draining means that it was stopped early and can be resumed.
+        environment_steps: decisions accepted so far.
         environment_steps_target: decisions at which the run ends.
         updates: of the planner so far.
         policy_version: the newest published one.
-        waiting: who waits for whom and why; empty if nobody does.
+        waiting: which side waits for the other and why; empty if none does.
     """
 
     phase: Phase

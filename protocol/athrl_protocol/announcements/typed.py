@@ -1,4 +1,4 @@
-"""Publish and receive the newest value of one type; the kinds of announcements are made from these two."""
+"""Publish and receive the newest value of one type; the base of all kinds of announcements."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Generic, TypeVar
 
 import zenoh
 
-from athrl_protocol.closing import Closing
+from athrl_protocol.announcements.latest_value import LatestPublisher, LatestSubscriber
 from athrl_protocol.errors import InvalidMessage
-from athrl_protocol.newest import NewestPublisher, NewestSubscriber
-from athrl_protocol.refusals import OTHERS, Refusals
+from athrl_protocol.faults.refusals import OTHERS, Refusals
+from athrl_protocol.transport.closeable import Closeable
 
 _log = logging.getLogger(__name__)
 _Value = TypeVar("_Value")
 
 
-class TypedPublisher(Generic[_Value], Closing):
+class TypedPublisher(Generic[_Value], Closeable):
     """Publishes values of one type under one key."""
 
     def __init__(
@@ -29,27 +29,31 @@ class TypedPublisher(Generic[_Value], Closing):
         remind_seconds: float | None = None,
     ) -> None:
         self._encode = encode
-        self._publisher = NewestPublisher(session, key, remind_seconds)
+        self._publisher = LatestPublisher(session, key, remind_seconds)
 
     def publish(self, value: _Value) -> None:
-        """Make `value` the newest and send it to all."""
+        """Make `value` the newest and send it to all subscribers."""
         self._publisher.publish(self._encode(value))
 
+    def supersede(self, incarnation: int) -> None:
+        """Send the newest value again, as newer than all of another publisher's incarnation."""
+        self._publisher.supersede(incarnation)
+
     def close(self) -> None:
-        """Stop publishing; latecomers get no answer any more."""
+        """Stop publishing; late subscribers get no answer any more."""
         self._publisher.close()
 
 
-class TypedSubscriber(Generic[_Value], Closing):
-    """Keeps the newest valid value of one type; an invalid one is logged and left out.
+class TypedSubscriber(Generic[_Value], Closeable):
+    """Keeps the newest valid value of one type; an invalid one is logged and skipped.
 
     Args:
         session: an open session.
         key: key expression.
         decode: returns the value in a payload or raises InvalidMessage.
-        on_value: called with every value that is taken, from another thread.
+        on_value: called with every new value, from another thread.
 
-    What `decode` or `on_value` raises beyond that is logged, and `newest` and `wait` raise BackgroundFailed.
+    Other errors of `decode` or `on_value` are logged, and `newest` and `wait` raise BackgroundFailed.
     """
 
     def __init__(
@@ -65,10 +69,10 @@ class TypedSubscriber(Generic[_Value], Closing):
         self._changed = threading.Condition()
         self._newest: _Value | None = None
         self._closed = False
-        self._subscriber = NewestSubscriber(session, key, self._take)
+        self._subscriber = LatestSubscriber(session, key, self._take)
 
     def newest(self) -> _Value | None:
-        """Return the newest value, or None before there is one."""
+        """Return the newest value, or None before the first."""
         self._subscriber.check()
         with self._changed:
             return self._newest
@@ -81,11 +85,11 @@ class TypedSubscriber(Generic[_Value], Closing):
             return self._newest
 
     def ask(self) -> None:
-        """Ask for the newest value once more, without waiting for it."""
+        """Query the newest value again, without waiting for it."""
         self._subscriber.ask()
 
     def close(self) -> None:
-        """Stop listening; `newest` keeps what it has."""
+        """Stop listening; `newest` keeps its value."""
         self._subscriber.close()
         with self._changed:
             self._closed = True

@@ -1,12 +1,14 @@
-"""The run file: what a run is to do, with every default in one place."""
+"""The run file: all settings of a run, with every default in one place."""
 
 from athrl_protocol.run_file.documentation import (
     Setting,
     default_toml,
     planner_settings,
+    saved_toml,
     settings,
     to_toml,
 )
+from athrl_protocol.run_file.maps import require_same_maps, with_whole_maps
 from athrl_protocol.run_file.planner_tables import PlannerSection, declare_planners, declared_planners
 from athrl_protocol.run_file.reading import read_run_file
 from athrl_protocol.run_file.reference import reference_page
@@ -17,6 +19,7 @@ from athrl_protocol.run_file.sections import (
     EvaluatorSection,
     ExplorationSection,
     LearnerSection,
+    MetricsSection,
     NetworkSection,
     ReplaySection,
     RunSection,
@@ -29,6 +32,7 @@ __all__ = [
     "EvaluatorSection",
     "ExplorationSection",
     "LearnerSection",
+    "MetricsSection",
     "NetworkSection",
     "PlannerSection",
     "ReplaySection",
@@ -42,6 +46,9 @@ __all__ = [
     "planner_settings",
     "read_run_file",
     "reference_page",
+    "require_same_maps",
+    "saved_toml",
     "settings",
     "to_toml",
+    "with_whole_maps",
 ]

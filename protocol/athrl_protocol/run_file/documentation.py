@@ -1,4 +1,4 @@
-"""Every setting with its meaning, as the default run file and as entries for a reference page."""
+"""Documentation of every setting, for the default run file and the reference page."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from athrl_protocol.run_file.section import Section
 from athrl_protocol.run_file.toml_values import choice, to_toml_value
 
 _TYPES = {int: "integer", float: "number", str: "text", bool: "true or false"}
+END = "# This is the end of the run file; without this line it was cut off."
+LAST_SETTING_WITHOUT_END = "network.patience"
+"""Which setting was the last one when saved run files did not have `END` yet."""
+
 _BOUNDS = (("ge", ">="), ("gt", ">"), ("le", "<="), ("lt", "<"))
 
 
@@ -24,9 +28,9 @@ class Setting:
     Attributes:
         section: table of the run file.
         key: key within the table.
-        default: value when the run file does not give one.
+        default: value if the run file has none.
         expected: type and bounds in words, for instance `integer, >= 1, <= 4096`.
-        description: what it means, with its unit.
+        description: its meaning, with its unit.
     """
 
     section: str
@@ -42,7 +46,7 @@ class Setting:
 
     @property
     def comment(self) -> str:
-        """What it means and what it may be, in one line."""
+        """Meaning and allowed values, in one line."""
         return f"{self.description} ({self.expected})"
 
 
@@ -54,7 +58,7 @@ def sections() -> dict[str, type[Section]]:
 def settings(kind: str | None = None) -> Iterator[Setting]:
     """Yield every setting of a run whose planner is of that kind, in the order of the run file.
 
-    None stands for the default kind. Of a kind that was not declared nothing but its name is known.
+    None is the default kind. Of a kind that was not declared only the name is known.
     """
     for section_name, section in sections().items():
         if section_name == "planner":
@@ -72,8 +76,16 @@ def planner_settings(kind: str) -> Iterator[Setting]:
         yield _setting("planner", key, field)
 
 
+def is_text(name: str) -> bool:
+    """Return whether a setting, of any declared kind of planner, is a text."""
+    section, _, key = name.partition(".")
+    tables = declared_planners().values() if section == "planner" else (sections().get(section),)
+    fields = [table.model_fields[key] for table in tables if table is not None and key in table.model_fields]
+    return bool(fields) and all(field.annotation is str for field in fields)
+
+
 def planner_meaning(kind: str) -> str:
-    """Return what a declared kind of planner is, in one line without a full stop; it may be empty."""
+    """Return the summary of a declared kind of planner, one line without a full stop; it may be empty."""
     lines = (declared_planners()[kind].__doc__ or "").strip().splitlines()
     return lines[0].strip().rstrip(".") if lines else ""
 
@@ -96,6 +108,8 @@ def _setting(section: str, key: str, field: FieldInfo) -> Setting:
 
 
 def _number(value: float) -> str:
+    if value == 2**63 - 1:
+        return "2^63 - 1"
     return f"{value:.0f}" if float(value).is_integer() and abs(value) < 1e12 else f"{value:g}"
 
 
@@ -132,6 +146,16 @@ def to_toml(run_file: RunFile) -> str:
                 lines.append(f"# {comments[f'{section_name}.{key}']}")
             lines.append(f"{key} = {to_toml_value(value)}")
     return "\n".join(lines) + "\n"
+
+
+def saved_toml(run_file: RunFile) -> str:
+    """Return the run file as it is kept in the run's folder: as TOML, with an end that shows it whole."""
+    return f"{to_toml(run_file)}\n{END}\n"
+
+
+def ends_whole(text: str) -> bool:
+    """Return whether a saved run file is whole."""
+    return text.rstrip().endswith(END)
 
 
 def default_toml(kind: str | None = None) -> str:

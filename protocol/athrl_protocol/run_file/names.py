@@ -1,4 +1,4 @@
-"""The names that a run file may have, and the nearest one to a name that is none."""
+"""The valid names in a run file, and the nearest one to an unknown name."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from athrl_protocol.errors import RunFileError
 from athrl_protocol.run_file.documentation import sections, settings
 from athrl_protocol.run_file.planner_tables import declared_planners, kinds_with
-from athrl_protocol.run_file.toml_values import choice, to_toml_value
+from athrl_protocol.run_file.toml_values import choice, cut, show, to_toml_value
 
 
 class KnownNames:
-    """Sections and settings of a run whose planner is of the kind `kind`."""
+    """Sections and settings of a run with a planner of kind `kind`."""
 
     def __init__(self, kind: str) -> None:
         self._kind = kind
@@ -57,25 +57,9 @@ class KnownNames:
         return "".join(f"; did you mean {near}?" for near in list(self._near(name, sorted(known)))[:1])
 
     def _near(self, name: str, known: list[str]) -> Iterator[str]:
-        """Yield known names that resemble `name`: as a whole first, then by their last part alone."""
+        """Yield known names that resemble `name`: first as a whole, then by their last part."""
         yield from difflib.get_close_matches(name, known, n=1, cutoff=0.75)
         by_key = {key: full for full, key in self._settings.items()}
         key = name.rpartition(".")[2]
         yield from (by_key[near] for near in difflib.get_close_matches(key, sorted(by_key), n=1, cutoff=0.6))
         yield from difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-
-
-def show(value: Any) -> str:
-    """Return a value for a message: as TOML, in one line, and cut off where it is long."""
-    return cut(to_toml_value(value))
-
-
-def cut(text: str) -> str:
-    """Return a text for a message: in one line, and cut off where it is long."""
-    return one_line(text if len(text) <= 60 else f"{text[:57]}...")
-
-
-def one_line(text: str) -> str:
-    """Return a text with every run of white space as one blank, and what cannot be shown as its number."""
-    shown = (sign if sign.isprintable() or sign.isspace() else f"\\u{ord(sign):04x}" for sign in text)
-    return " ".join("".join(shown).split())

@@ -1,9 +1,9 @@
-"""The section `[planner]`: a kind, and the settings that planners of that kind have.
+"""The section `[planner]`: a kind, and the settings of planners of that kind.
 
-The protocol knows no planner. Who starts a run declares the settings of each kind, and the section is held to
-them: other kinds, other keys and wrong values are refused, and what is left out has its default. A process
-that has declared none, as an actor, takes the section as it is: the learner, from which it comes, has checked
-it.
+The protocol knows no planner. The program that starts a run declares the settings of each kind, and the
+section is checked against them: unknown kinds and keys and wrong values are refused, missing settings have
+their defaults. A process without declared planners, such as an actor, takes the section unchecked: the
+learner, which serves it, has checked it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from athrl_protocol.run_file.section import Section
 from athrl_protocol.run_file.toml_values import choice
 
 DEFAULT_KIND = "athrl"
-"""The kind of planner of a run that names none, in a process to which no kinds were declared."""
+"""The kind of planner of a run that names none, in a process without declared kinds."""
 
 _KIND = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
 
@@ -27,16 +27,16 @@ _declared: dict[str, type[BaseModel]] = {}
 
 
 def declare_planners(tables: Mapping[str, type[BaseModel]]) -> None:
-    """Say which kinds of planner there are; it replaces what was declared before.
+    """Declare the kinds of planner; replaces earlier declarations.
 
     Args:
-        tables: the settings of each kind, in the order in which they are documented; the first kind is the
-            default. The first line of a table's docstring says what that planner is. It is held to what every
-            section is held to: strict types, finite numbers, no other keys. Every setting needs a default
-            that TOML can write.
+        tables: the settings of each kind, in the order of the documentation; the first kind is the default.
+            The first line of a table's docstring is the summary of the planner. A table gets the checks of
+            every section: strict types, finite numbers, no unknown keys. Every setting needs a default that
+            TOML can write.
 
     Raises:
-        ValueError: a kind or a table that cannot be; says what is wrong with it.
+        ValueError: a kind or a table is not valid; says why.
     """
     checked = {kind: _checked(kind, table) for kind, table in tables.items()}
     _declared.clear()
@@ -44,7 +44,7 @@ def declare_planners(tables: Mapping[str, type[BaseModel]]) -> None:
 
 
 def declared_planners() -> Mapping[str, type[BaseModel]]:
-    """The settings of each kind that was declared."""
+    """The settings of each declared kind."""
     return dict(_declared)
 
 
@@ -53,13 +53,13 @@ def default_kind() -> str:
     return next(iter(_declared), DEFAULT_KIND)
 
 
-def what_is_wrong_with_kind(kind: Any) -> str | None:
-    """What a kind of planner should be, if it is none; with the nearest name."""
+def kind_error(kind: Any) -> str | None:
+    """What a kind of planner should be, with the nearest name; None if the kind is valid."""
     if not isinstance(kind, str) or (not _declared and _KIND.fullmatch(kind) is None):
-        return f"should be {_what_it_may_be()}"
+        return f"should be {_expected_kind()}"
     if _declared and kind not in _declared:
         near = difflib.get_close_matches(kind.lower(), _declared, n=1, cutoff=0.4)
-        return f"should be {_what_it_may_be()}" + (f"; did you mean {near[0]}?" if near else "")
+        return f"should be {_expected_kind()}" + (f"; did you mean {near[0]}?" if near else "")
     return None
 
 
@@ -68,11 +68,12 @@ def kinds_with(key: str) -> list[str]:
     return [kind for kind, table in _declared.items() if key in table.model_fields]
 
 
-def left_out_for_another_kind(table: Mapping[str, Any], kind: str) -> dict[str, Any]:
-    """A table `[planner]` without what planners of `kind` lack, where it has the default of its own kind.
+def without_defaults_of_other_kinds(table: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    """A table `[planner]` without settings that `kind` lacks, if they have the default of the table's own
+    kind.
 
-    A run file with every setting of one kind is so also a run file of another. What differs from its default
-    stays, to be refused: its author wants something that `kind` does not have.
+    So a run file with every setting of one kind can also be used for another kind. A setting that differs
+    from its default stays and will be refused: its author wants something that `kind` does not have.
     """
     own, other = _declared.get(table.get("kind", default_kind())), _declared.get(kind)
     if own is None or other is None:
@@ -92,12 +93,12 @@ def _is_default(table: type[BaseModel], key: str, value: Any) -> bool:
     return bool(value == default) and isinstance(value, bool) == isinstance(default, bool)
 
 
-def _what_it_may_be() -> str:
+def _expected_kind() -> str:
     return choice(_declared) if _declared else "the name of a planner"
 
 
 def _checked(kind: str, table: type[BaseModel]) -> type[BaseModel]:
-    """The table, held to what every section is held to."""
+    """The table, with the checks of every section."""
     if _KIND.fullmatch(kind) is None:
         raise ValueError(f"a kind of planner is {kind!r}: should be letters, digits, '.', '_' and '-'")
     for key, field in table.model_fields.items():
@@ -122,11 +123,11 @@ class PlannerSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _hold_to_what_was_declared(cls, section: Any) -> Any:
+    def _check_against_declared(cls, section: Any) -> Any:
         if not isinstance(section, Mapping):
             return section
         kind = section.get("kind", default_kind())
-        wrong = what_is_wrong_with_kind(kind)
+        wrong = kind_error(kind)
         if wrong is not None:
             raise ValueError(f"planner.kind = {kind!r:.60}: {wrong}")
         given = {key: value for key, value in section.items() if key != "kind"}

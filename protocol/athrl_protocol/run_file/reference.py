@@ -1,4 +1,4 @@
-"""The reference page: every setting of every section, and of every kind of planner that was declared."""
+"""The reference page: every setting of every section and of every declared kind of planner."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from athrl_protocol.run_file.toml_values import choice, to_toml_value
 
 _INTRODUCTION = """# Settings
 
-A run is described by a run file, in TOML. What it leaves out has the default that is given here; a key on
-the command line wins over the file: `--set learner.batch=64`. What is wrong is refused in one line before
-anything starts. [`presets/default.toml`](../presets/default.toml) has every setting of the default run.
+A run file, in TOML, describes a run. Missing settings have the defaults that are given here; a setting on the
+command line overrides the file: `--set learner.batch=64`. Errors are reported in one line before anything
+starts. A file has at most 1 MiB, an integer 64 bits, a text one line.
+[`presets/default.toml`](../presets/default.toml) has every setting of the default run.
 
 This page is written by `python presets/generate.py`."""
 
 
 def reference_page() -> str:
-    """Return the page as Markdown; what all kinds of planner have alike stands there once."""
+    """Return the page as Markdown; settings that all kinds of planner share are listed once."""
     everything = list(settings())
     lines = [_INTRODUCTION]
     for name, section in sections().items():
@@ -36,7 +37,7 @@ def reference_page() -> str:
 
 
 def _planners(kind: list[Setting]) -> Iterator[str]:
-    """Tables of the planners' settings: first what all kinds have alike, then by the kinds that have it."""
+    """Tables of the planners' settings: first those of all kinds, then those of some kinds."""
     of_kind = {kind: list(planner_settings(kind)) for kind in declared_planners()}
     groups: dict[tuple[str, ...], list[Setting]] = {tuple(of_kind): kind}
     for settings_of_one in of_kind.values():

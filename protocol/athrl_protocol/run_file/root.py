@@ -1,4 +1,4 @@
-"""The run file as a whole: its sections together and what must hold between them."""
+"""The complete run file: its sections and the checks between them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import math
 from typing import Self
 
 from athrl_spaces import CHANNELS
+from athrl_spaces.untrusted import one_line, parser_errors
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from athrl_protocol.chunk import MAXIMUM_IMAGES_BYTES, MAXIMUM_TIME
 from athrl_protocol.errors import RunFileError
+from athrl_protocol.messages.chunk import MAXIMUM_IMAGES_BYTES, MAXIMUM_TIME
+from athrl_protocol.run_file.document import MOST_BYTES, check_document
 from athrl_protocol.run_file.planner_tables import PlannerSection
 from athrl_protocol.run_file.section import Section
 from athrl_protocol.run_file.sections import (
@@ -19,6 +21,7 @@ from athrl_protocol.run_file.sections import (
     EvaluatorSection,
     ExplorationSection,
     LearnerSection,
+    MetricsSection,
     NetworkSection,
     ReplaySection,
     RunSection,
@@ -40,6 +43,7 @@ class RunFile(Section):
     evaluator: EvaluatorSection = EvaluatorSection()
     serial: SerialSection = SerialSection()
     network: NetworkSection = NetworkSection()
+    metrics: MetricsSection = MetricsSection()
 
     @model_validator(mode="after")
     def _check_sections_against_each_other(self, info: ValidationInfo) -> Self:
@@ -84,22 +88,22 @@ class RunFile(Section):
 
     @property
     def episode_decisions(self) -> int:
-        """Decisions in an episode at most."""
+        """Most decisions in an episode."""
         return math.ceil(self.environment.episode_ticks / self.environment.ticks_per_decision)
 
     @property
     def warm_up(self) -> int:
-        """Random decisions before training starts: as many as are asked for, at most a third of the run."""
+        """Random decisions before training starts: those of the settings, at most a third of the run."""
         return min(self.exploration.random_decisions, self.run.environment_steps // 3)
 
     @property
     def _most_images(self) -> int:
-        """Images that a chunk may have."""
+        """Most images of a chunk."""
         return MAXIMUM_IMAGES_BYTES // (self.environment.image_size**2 * len(CHANNELS))
 
     @property
     def longest_chunk(self) -> int:
-        """Decisions in a chunk at most: whole sequences, as many as are wanted and a message may have."""
+        """Most decisions in a chunk: whole sequences, bounded by the settings and the size of a message."""
         length = self.replay.sequence_length
         fit = min(MAXIMUM_TIME, self._most_images - 1) // length
         return length * min(self.actor.sequences_per_chunk, fit)
@@ -115,10 +119,19 @@ class RunFile(Section):
         Raises:
             RunFileError: it is not a valid run file of this release.
         """
+        if len(text) > MOST_BYTES:
+            raise RunFileError(f"served run file: is too large: should have at most {MOST_BYTES:,} bytes")
+        with parser_errors(lambda reason: RunFileError(f"served run file: {reason}")):
+            run_file = cls._validated(text)
+            check_document(run_file.model_dump(), "served run file: ")
+        return run_file
+
+    @classmethod
+    def _validated(cls, text: str | bytes) -> Self:
         try:
             return cls.model_validate_json(text)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             place = ".".join(str(part) for part in first["loc"]) or "run file"
-            text = first["msg"].removeprefix("Value error, ")
-            raise RunFileError(f"served run file: {place}: {text}") from None
+            reason = first["msg"].removeprefix("Value error, ")
+            raise RunFileError(f"served run file: {one_line(f'{place}: {reason}')}") from None

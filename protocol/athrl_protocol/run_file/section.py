@@ -1,4 +1,4 @@
-"""What every table of the run file is held to."""
+"""The checks of every table of the run file."""
 
 from __future__ import annotations
 

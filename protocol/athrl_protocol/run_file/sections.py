@@ -1,8 +1,8 @@
 """The sections of a run file: every setting with its default, its unit and its bounds.
 
-The learner owns the run file and serves it, so every service reads the same one; that is why it lives
-with the protocol. A setting's description is also the comment in the default run file and the line in
-the reference page.
+The learner owns the run file and serves it, so all services read the same one; that is why it belongs to the
+protocol. The description of a setting is also its comment in the default run file and its line in the
+reference page.
 """
 
 from __future__ import annotations
@@ -10,14 +10,24 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from athrl_spaces.environment import BOUNDS
-from pydantic import Field
+from pydantic import Field, field_validator
 
+from athrl_protocol.errors import ProtocolError
+from athrl_protocol.monitoring.address import EXPECTED as EXPECTED_METRICS_ADDRESS
+from athrl_protocol.monitoring.address import metrics_address
 from athrl_protocol.run_file.section import Section
-from athrl_protocol.run_file.towns import EXPECTED, Towns
+from athrl_protocol.run_file.towns import EXPECTED, EXPECTED_CHECKSUMS, MapChecksums, Towns
+
+LONGEST_SECONDS = 1e9
+"""Thirty years; the clocks of Python and Zenoh take no waiting time that is much longer."""
+MOST_STEPS = 2**63 - 1
+"""Messages have integers of 64 bits."""
+MOST_KEPT = 1_000_000
+"""Of what is kept or listed one by one."""
 
 
 def _bounded(key: str, default: float, description: str) -> Any:
-    """A setting of the environment, with the bounds that the environment itself has for it."""
+    """A setting of the environment, with the environment's own bounds."""
     _, low, high = BOUNDS[key]
     return Field(default=default, ge=low, le=high, description=description)
 
@@ -29,6 +39,9 @@ class RunSection(Section):
         default="town03",
         pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$",
         description="Name of the run and of its folder.",
+        json_schema_extra={
+            "expected": "a name of at most 63 characters: a-z, 0-9, _ and -, not _ or - first"
+        },
     )
     seed: int = Field(
         default=1,
@@ -37,24 +50,40 @@ class RunSection(Section):
         description="Root of the tree of seeds: run, service, environment, episode.",
     )
     environment_steps: int = Field(
-        default=900_000, ge=1, description="Decisions of all actors together after which the run ends."
+        default=900_000,
+        ge=1,
+        le=MOST_STEPS,
+        description="Decisions of all actors together after which the run ends.",
     )
     folder: str = Field(default="runs", min_length=1, description="Folder that holds the run's folder.")
+    map_checksums: MapChecksums = Field(
+        default={},
+        description="SHA-256 of each map in environment.towns, noted when the run is started; other maps "
+        "under these paths are refused.",
+        json_schema_extra={"expected": EXPECTED_CHECKSUMS},
+    )
 
 
 class EnvironmentSection(Section):
-    """The towns and what the car perceives."""
+    """The towns and the observation."""
 
     towns: Towns = Field(
         default={"town03": 1.0},
-        description="The towns to drive in: town02, town03, town04, or an OpenDRIVE file of yours, "
-        "PATH.xodr; several with their shares of an actor's environments, {town03 = 2.0, town04 = 1.0}.",
+        description="Towns to drive in: town02, town03, town04, or the path of an OpenDRIVE file, PATH.xodr; "
+        "several with their shares of an actor's environments, {town03 = 2.0, town04 = 1.0}.",
         json_schema_extra={"expected": EXPECTED},
+    )
+    strict_map: bool = Field(
+        default=False,
+        description="Refuse a map with a fault that OpenDRIVE forbids; false: small ones are bridged, with a "
+        "warning.",
     )
     vehicles: int = _bounded("vehicles", 100, "Background vehicles.")
     image_size: int = _bounded("image_size", 32, "Height and width of bird's eye view and lidar, pixels.")
     episode_ticks: int = _bounded("episode_ticks", 500, "Ticks of 0.1 s after which an episode is truncated.")
-    ticks_per_decision: int = _bounded("ticks_per_decision", 4, "Ticks of 0.1 s for which a decision holds.")
+    ticks_per_decision: int = _bounded(
+        "ticks_per_decision", 4, "Ticks of 0.1 s for which a decision is applied."
+    )
     maximum_speed: float = _bounded(
         "maximum_speed", 7.95, "Highest target speed, m/s; above 8 m/s every tick costs 10 points."
     )
@@ -62,49 +91,55 @@ class EnvironmentSection(Section):
     waypoint_half_angle: float = _bounded(
         "waypoint_half_angle",
         30.0,
-        "The waypoint lies within this angle to either side of straight ahead, degrees.",
+        "Largest angle of the waypoint from straight ahead, degrees.",
     )
 
 
 class ExplorationSection(Section):
-    """How actors explore; the noise itself is a setting of the planner."""
+    """How actors explore; the noise is a setting of the planner."""
 
     random_decisions: int = Field(
         default=10_000,
         ge=0,
-        description="Decisions of a uniformly random policy before training starts, at most a third of the "
-        "run; the paper has 10000.",
+        le=MOST_STEPS,
+        description="Warm-up: decisions of a uniformly random policy before training, at most a third of "
+        "the run; the paper uses 10000. Actors wait near that for training to begin (several drive more).",
     )
     final_noise_scale: float = Field(
-        default=0.5, ge=0, le=1, description="Factor on all noise at the run's end; it falls linearly from 1."
+        default=0.5,
+        ge=0,
+        le=1,
+        description="Factor on all noise at the end of the run; it falls linearly from 1.",
     )
 
 
 class ReplaySection(Section):
     """The replay buffer."""
 
-    capacity: int = Field(default=200_000, ge=100, description="Decisions that the replay buffer holds.")
+    capacity: int = Field(
+        default=200_000, ge=100, le=MOST_STEPS, description="Decisions that the replay buffer holds."
+    )
     sequence_length: int = Field(
-        default=16, ge=2, le=256, description="Decisions in a sequence, the unit in which they travel."
+        default=16, ge=2, le=256, description="Decisions in a sequence, the unit of the replay."
     )
     burn_in: int = Field(
         default=0,
         ge=0,
         le=128,
-        description="First decisions of a sequence that only warm the recurrent states.",
+        description="Burn-in: first decisions of a sequence, which only update the recurrent state.",
     )
     prioritised: bool = Field(
         default=False,
-        description="Draw what was predicted badly more often; false: everything equally often.",
+        description="Prioritised replay: larger errors are sampled more often; false: uniform.",
     )
     priority_exponent: float = Field(
-        default=0.6, ge=0, le=1, description="Prioritised: how much the error counts; 0: not at all."
+        default=0.6, ge=0, le=1, description="Prioritised: exponent of the error in the priority; 0: uniform."
     )
     importance_exponent: float = Field(
         default=0.4,
         ge=0,
         le=1,
-        description="Prioritised: how far losses are weighted against being drawn more often; 1: fully.",
+        description="Prioritised: exponent of the importance weights; 1: full correction.",
     )
 
 
@@ -115,152 +150,201 @@ class LearnerSection(Section):
         default=512,
         ge=1,
         le=65_536,
-        description="Decisions in an update; a planner with memory takes them as whole sequences.",
+        description="Decisions in an update; with a memory as whole sequences.",
     )
     samples_per_insert: float = Field(
         default=8.0,
         gt=0,
-        description="How often a decision is trained on, on average; the limiter holds to it.",
+        le=10_000,
+        description="How often a decision is trained on, on average; the limiter enforces it.",
     )
     samples_per_insert_tolerance: float = Field(
         default=0.1,
         gt=0,
         le=1,
-        description="Share by which samples per insert may be off before somebody waits.",
+        description="Relative deviation of samples per insert before actors or learner wait.",
     )
-    publish_seconds: float = Field(default=1.0, gt=0, description="Seconds between published policies.")
-    checkpoint_seconds: float = Field(default=120.0, gt=0, description="Seconds between checkpoints.")
-    checkpoints_kept: int = Field(default=3, ge=1, description="Newest checkpoints that are kept.")
+    publish_seconds: float = Field(
+        default=1.0, gt=0, le=LONGEST_SECONDS, description="Seconds between published policies."
+    )
+    checkpoint_seconds: float = Field(
+        default=120.0, gt=0, le=LONGEST_SECONDS, description="Seconds between checkpoints."
+    )
+    checkpoints_kept: int = Field(
+        default=3, ge=1, le=MOST_KEPT, description="Number of newest checkpoints that are kept."
+    )
     deadlock_seconds: float = Field(
         default=60.0,
         gt=0,
-        description="Seconds that actors and learner may wait for each other "
-        "before the run ends in an error.",
+        le=LONGEST_SECONDS,
+        description="Seconds that actors and learner may wait for each other before the run ends with an "
+        "error.",
     )
     threads: int = Field(
-        default=0, ge=0, le=256, description="Threads that train; 0: as many as the run leaves it."
+        default=0, ge=0, le=256, description="Training threads; 0: one for each available core."
     )
     device: Literal["cpu", "cuda", "auto"] = Field(
-        default="cpu", description="Where training happens; auto: on a GPU where there is one."
+        default="cpu", description="Device of training; auto: a GPU if there is one."
     )
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         default="auto",
-        description="Of the networks' products; auto: bfloat16 where this machine's CPU is faster with it.",
+        description="Precision of matrix products; auto: bfloat16 if it is faster on this machine.",
     )
 
 
 class DurabilitySection(Section):
-    """The log of experience, which keeps what was acknowledged."""
+    """The log of experience, which stores all acknowledged chunks."""
 
     fsync: Literal["never", "acknowledgement", "interval"] = Field(
         default="interval",
-        description="When the log is brought to the disk, which only a power cut makes matter: never, before "
-        "each acknowledgement, or at an interval.",
+        description="When the log is synced to the disk, to survive a power cut: never, before each "
+        "acknowledgement, or at an interval.",
     )
     fsync_seconds: float = Field(
-        default=1.0, gt=0, description="The interval: what a power cut may cost, seconds."
+        default=1.0,
+        gt=0,
+        le=LONGEST_SECONDS,
+        description="The interval, seconds: most experience that a power cut can lose.",
     )
     segment_mebibytes: float = Field(
-        default=32.0, gt=0, le=1024, description="Size of a file of the log, after which the next one begins."
+        default=32.0, gt=0, le=1024, description="Size of a segment (a file of the log), MiB."
     )
     reserve_mebibytes: float = Field(
         default=256.0,
         ge=0,
-        description="Room on the disk that is left for checkpoints; with less, experience has to wait.",
+        le=1e9,
+        description="Disk space reserved for checkpoints, MiB; with less free space, intake pauses.",
     )
 
 
 class ActorSection(Section):
-    """Each actor."""
+    """Settings of each actor."""
 
     environments: int = Field(
-        default=64, ge=1, le=1024, description="Environments that an actor drives in step."
+        default=64, ge=1, le=1024, description="Environments that an actor drives in parallel."
     )
     unacknowledged_chunks: int = Field(
         default=256,
         ge=1,
-        description="Chunks kept while the learner is away; when it is full the actor waits.",
+        le=MOST_KEPT,
+        description="Most chunks that an actor keeps while the learner is away; then it waits.",
     )
     sequences_per_chunk: int = Field(
         default=8,
         ge=1,
         le=128,
-        description="Most sequences in a chunk, which go together; after a second it goes with fewer.",
+        description="Most sequences in a chunk; after a second it is sent with fewer.",
     )
     policy_lag_versions: int = Field(
         default=30,
         ge=1,
-        description="Versions by which an actor's policy may be behind; with more it waits for a newer one.",
+        le=MOST_KEPT,
+        description="Largest policy lag of an actor, versions; beyond it the actor waits for a newer policy.",
     )
     stall_seconds: float = Field(
         default=60.0,
         gt=0,
-        description="Seconds within which a step of the environments returns; else they are made again.",
+        le=LONGEST_SECONDS,
+        description="Seconds for one step of the environments; if it takes longer, they are made again.",
     )
     failures_allowed: int = Field(
         default=5,
         ge=0,
-        description="Times in ten minutes that environments may raise or stall before the actor leaves.",
+        le=MOST_KEPT,
+        description="Failures of environments (errors or stalls) in ten minutes before the actor ends.",
     )
 
 
 class EvaluatorSection(Section):
-    """The evaluator."""
+    """Settings of the evaluator."""
 
     episodes: int = Field(
-        default=8, ge=2, description="Greedy episodes for each policy that is scored while training."
+        default=8,
+        ge=2,
+        le=MOST_KEPT,
+        description="Greedy episodes for each policy that is scored during training.",
     )
     final_episodes: int = Field(
-        default=40, ge=2, description="Episodes for each driver in the closing comparison."
+        default=40, ge=2, le=MOST_KEPT, description="Episodes for each driver in the closing comparison."
     )
     seconds_between: float = Field(
-        default=60.0, ge=0, description="Shortest time between two scored policies, seconds."
+        default=60.0, ge=0, le=LONGEST_SECONDS, description="Least seconds between two scored policies."
     )
     seed: int = Field(
-        default=1_000_000, ge=0, lt=2**32, description="Episodes have this seed and the ones after it."
+        default=1_000_000,
+        ge=0,
+        lt=2**32,
+        description="Seed of the first episode; later episodes have the following seeds.",
     )
     recordings_kept: int = Field(
-        default=50, ge=1, description="Newest recorded episodes (MCAP) that are kept."
+        default=50, ge=1, le=MOST_KEPT, description="Number of newest recorded episodes (MCAP) that are kept."
     )
 
 
 class SerialSection(Section):
-    """A run in one process that repeats itself bit for bit."""
+    """A run in one process that is repeatable bit for bit."""
 
     enabled: bool = Field(
         default=False,
-        description="Drive and train in turns in one process, without a network; `athrl train --serial`.",
+        description="Drive and train alternately in one process, without a network; `athrl train --serial`.",
     )
     updates_per_second: float = Field(
         default=20.0,
         gt=0,
-        description="Updates that count as a second in settings; a serial run looks at no clock.",
+        le=1_000_000,
+        description="Updates that replace a second in other settings, since a serial run uses no clock.",
     )
     trace_updates: int = Field(
-        default=200, ge=1, description="Updates between two fingerprints of all parameters in trace.txt."
+        default=200,
+        ge=1,
+        le=MOST_STEPS,
+        description="Updates between two fingerprints of all parameters in trace.txt.",
     )
 
 
 class NetworkSection(Section):
-    """Where the run listens."""
+    """The network."""
 
     listen: str = Field(
         default="tcp/127.0.0.1:7447",
         pattern=r"^(tcp|tls)/.+:\d+$",
-        description="The learner's address, as Zenoh writes it; with certificates tcp stands for tls.",
+        description="The learner's address in Zenoh's form; with certificates, tcp means tls.",
+        json_schema_extra={"expected": "tcp/HOST:PORT or tls/HOST:PORT"},
     )
     certificates: str = Field(
         default="",
-        description="Folder of the certificates by which services know each other, made by `athrl "
-        "certificates`; empty: ATHRL_CERTIFICATES, or without any no encryption and no check.",
+        description="Folder of the services' certificates, made by `athrl certificates`; empty: the one in "
+        "ATHRL_CERTIFICATES, or without it no encryption and no authentication.",
     )
     compression: Literal["lz4", "zstd", "none"] = Field(
         default="lz4",
-        description="Of images on their way to the learner and in its log. zstd: half the bytes of lz4 for "
+        description="Compression of images on the network and in the log. zstd: half the bytes of lz4 for "
         "twice the work; none: ten times the bytes, for one machine.",
     )
     patience: float = Field(
         default=30.0,
         gt=0,
-        description="Seconds that a service waits for an absent learner before it starts to complain.",
+        le=LONGEST_SECONDS,
+        description="Seconds that a service waits for an absent learner before it reports that.",
     )
+
+
+class MetricsSection(Section):
+    """Metrics for Prometheus."""
+
+    listen: str = Field(
+        default="",
+        description="Where the learner answers Prometheus, for instance 9464; empty: nowhere, as in a serial "
+        "run.",
+        json_schema_extra={"expected": EXPECTED_METRICS_ADDRESS},
+    )
+
+    @field_validator("listen")
+    @classmethod
+    def _check_listen(cls, listen: str) -> str:
+        try:
+            if listen:
+                metrics_address(listen)
+        except ProtocolError as error:
+            raise ValueError(str(error)) from None
+        return listen

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from athrl_spaces.untrusted import one_line
+
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -15,7 +17,7 @@ def to_toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # TOML's texts are JSON's, but for this one character, which it wants escaped.
+        # TOML's strings are JSON's, except for this character, which TOML requires to be escaped.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
         pairs = [f"{_key(key)} = {to_toml_value(entry)}" for key, entry in value.items()]
@@ -26,9 +28,19 @@ def to_toml_value(value: Any) -> str:
 
 
 def choice(values: Iterable[Any]) -> str:
-    """Return values of which one is to be chosen, in words: `"a", "b" or "c"`."""
+    """Return alternatives in words: `"a", "b" or "c"`."""
     *others, last = [to_toml_value(value) for value in values]
     return f"{', '.join(others)} or {last}" if others else last
+
+
+def show(value: Any) -> str:
+    """Return a value for a message: as TOML, in one line, shortened if it is long."""
+    return cut(to_toml_value(value))
+
+
+def cut(text: str) -> str:
+    """Return a text for a message: in one line, shortened if it is long."""
+    return one_line(text if len(text) <= 60 else f"{text[:57]}...")
 
 
 def _key(key: str) -> str:

@@ -1,6 +1,6 @@
-"""The towns of a run and their shares: how they may be written, and what becomes of that.
+"""The towns of a run and their shares.
 
-Written as a text, a list of texts or a table of shares; read, it is always a table:
+They may be written as a text, a list of texts or a table of shares; the value is always a table:
 
 | written | read |
 |---|---|
@@ -14,15 +14,17 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from athrl_protocol.schema import LONGEST_NAME
+from athrl_protocol.messages.schema import LONGEST_NAME
 
 TOWNS = ("town02", "town03", "town04")
-MAP_ENDINGS = (".xodr", ".XODR")
+MAP_ENDING = ".xodr"
+"""Of the names of maps, in capitals or small letters."""
 MOST_TOWNS = 16
 
 EXPECTED = "a town, a list of towns, or a table of their shares"
@@ -30,10 +32,10 @@ _MAY_BE = f"{', '.join(TOWNS)}, or an OpenDRIVE file, PATH.xodr"
 
 
 def read_towns(value: Any) -> dict[str, float]:
-    """Return the share, a number above 0, of each town by its name or by the path of its map.
+    """Return the share of each town, a number above 0, by its name or the path of its map.
 
     Raises:
-        ValueError: it is something else; says what it should be.
+        ValueError: the value is not valid; says what it should be.
     """
     if isinstance(value, str):
         shares: Mapping[Any, Any] = {value: 1.0}
@@ -62,13 +64,13 @@ def _town(name: Any) -> str:
         raise ValueError(f"has a town {name!r:.60}, should be {EXPECTED}")
     if name in TOWNS:
         return name
-    if not name.endswith(MAP_ENDINGS) or name in MAP_ENDINGS:
+    if not name.lower().endswith(MAP_ENDING) or len(name) == len(MAP_ENDING):
         near = difflib.get_close_matches(name.lower(), TOWNS, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""
-        if name.startswith(("[", "{")) or "," in name:  # what is no TOML was taken for a text
+        if name.startswith(("[", "{")) or "," in name:  # invalid TOML was taken for a text
             hint = '; the texts of a list need quotes, ["town03", "town04"], shares are numbers, {town03 = 2}'
         raise ValueError(f"{_quoted(name)} is no town: should be {_MAY_BE}{hint}")
-    # It travels with results and frames, and is shown in one line.
+    # It is part of results and frames, and is shown in one line.
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise ValueError(f"{_quoted(name)}: should be a path of at most {LONGEST_NAME} printable characters")
     return name
@@ -89,4 +91,25 @@ def _quoted(name: str) -> str:
 
 
 Towns = Annotated[dict[str, float], BeforeValidator(read_towns)]
-"""Shares by town, read from any of the ways in which they may be written."""
+"""Shares by town, read from any of the forms above."""
+
+EXPECTED_CHECKSUMS = f"a table of at most {MOST_TOWNS} SHA-256 in hexadecimal digits by path"
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+def read_checksums(value: Any) -> dict[str, str]:
+    """Return the SHA-256 of maps by path.
+
+    Raises:
+        ValueError: the value is not valid; says what it should be.
+    """
+    if not isinstance(value, Mapping) or len(value) > MOST_TOWNS:
+        raise ValueError(f"should be {EXPECTED_CHECKSUMS}")
+    for path, checksum in value.items():
+        if not isinstance(path, str) or not isinstance(checksum, str) or not _SHA256.fullmatch(checksum):
+            raise ValueError(f"has {checksum!r:.60} for {path!r:.80}, should be {EXPECTED_CHECKSUMS}")
+    return dict(value)
+
+
+MapChecksums = Annotated[dict[str, str], BeforeValidator(read_checksums)]
+"""SHA-256 of maps by path."""

@@ -1,4 +1,4 @@
-"""Drives environments with the newest policy and streams what happens."""
+"""Drives environments with the newest policy and streams the experience."""
 
 from athrl_actor.actor import run_actor
 from athrl_actor.failures import ActorError, TooManyFailures

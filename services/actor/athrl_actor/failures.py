@@ -1,4 +1,4 @@
-"""Environments that raise or stall: counted, told, and after too many of them a reason to leave."""
+"""Counts and logs environments that raise or stall; too many of them end the actor."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from collections.abc import Callable
 
 from athrl_driving.policy import EnvironmentFailure, EnvironmentStalled
 
-WINDOW_SECONDS = 600.0  # what is longer ago does not count against an actor that runs for weeks
+WINDOW_SECONDS = 600.0  # older failures do not count, so an actor may run for weeks
 
 log = logging.getLogger(__name__)
 
 
 class ActorError(Exception):
-    """What an actor cannot go on with; the text is one line for the user."""
+    """An error that ends an actor; the message is one line for the user."""
 
 
 class TooManyFailures(ActorError):  # noqa: N818  (the name says what happened)
-    """The environments fail again and again."""
+    """The environments failed too often."""
 
 
 class FailureCount:
     """Counts failures of the environments.
 
     Args:
-        allowed: failures within `WINDOW_SECONDS` after which the actor goes on.
+        allowed: the most failures within `WINDOW_SECONDS` with which the actor continues.
         clock: seconds, monotonic.
     """
 
@@ -39,7 +39,7 @@ class FailureCount:
         self._chunks_dropped = 0
 
     def add(self, failure: EnvironmentFailure, chunks_dropped: int) -> None:
-        """Count a failure that cost so many open chunks; raises TooManyFailures if it is one too many."""
+        """Count a failure that cost so many open chunks; raises TooManyFailures if the limit is exceeded."""
         if isinstance(failure, EnvironmentStalled):
             self._stalled += 1
         else:
@@ -54,7 +54,7 @@ class FailureCount:
                 f"the environments failed {len(self._recent)} times within {WINDOW_SECONDS:.0f} s, "
                 f"actor.failures_allowed is {self._allowed}; the last time: {failure}"
             )
-        log.warning("%s; %d episodes begin anew", failure, len(failure.rows))
+        log.warning("%s; %d episodes begin anew", failure, len(failure.env_indices))
 
     def report(self) -> dict[str, float]:
         """The counts since the actor started."""

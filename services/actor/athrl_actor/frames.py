@@ -1,15 +1,15 @@
-"""A moment of an actor's first environment as the message that is shown live."""
+"""A moment of an actor's first environment as a message for live viewing."""
 
 from __future__ import annotations
 
 from athrl_protocol import Frame
-from athrl_protocol.frame import frame_of
+from athrl_protocol.messages.frame import frame_of
 
 from athrl_actor.rollout import Moment
 
 
 def frame_of_moment(moment: Moment) -> Frame:
-    """Describe a moment."""
+    """Return the frame of a moment."""
     return frame_of(
         moment.environment.scene(),
         moment.image,

@@ -1,9 +1,9 @@
-"""How far the deciding policy is behind the newest one, as far as the actor knows, and what it does about it.
+"""The policy lag: how far the deciding policy is behind the newest known one, and what the actor does.
 
-The newest version is known from the run's state, which comes each second whether the policy itself came or
-not. A policy that does not come is asked for: it was published before the state told of it, so the learner
-has it. An actor that is too far behind waits, and asks on; it does not wait for anything that depends on the
-experience that it does not collect meanwhile.
+The newest version is known from the run's state, which arrives each second whether or not the policy itself
+arrived. A policy that does not arrive is requested: it was published before the state named it, so the
+learner has it. An actor that is too far behind waits and keeps requesting; it does not wait for anything that
+depends on the experience that it does not collect meanwhile.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import logging
 import time
 from collections.abc import Callable
 
-ASK_SECONDS = 1.0  # behind for so long, the policy is asked for, and again after as long
+ASK_SECONDS = 1.0  # after this lag the policy is requested, and again at this interval
 
 log = logging.getLogger(__name__)
 
 
 class PolicyLag:
-    """Compares the version that decides with the newest that is known.
+    """Compares the deciding version with the newest known one.
 
     Args:
-        bound: versions; with more than that the actor waits.
-        ask: asks the learner for its newest policy and returns at once.
+        bound: versions; with a larger lag the actor waits.
+        ask: requests the learner's newest policy and returns immediately.
         clock: seconds, monotonic.
     """
 
@@ -39,13 +39,13 @@ class PolicyLag:
 
     @property
     def seconds(self) -> float:
-        """For how long a newer version than the deciding one has been known."""
+        """Seconds for which a newer version than the deciding one has been known."""
         return 0.0 if self._behind_since is None else self._clock() - self._behind_since
 
-    def look(self, deciding: int, newest: int) -> bool:
-        """Take note of both versions; return whether the actor may drive on.
+    def update(self, deciding: int, newest: int) -> bool:
+        """Update both versions; return whether the actor may keep driving.
 
-        `newest` is lower after a learner has gone back to a checkpoint: that is no lag.
+        `newest` is lower after a learner has resumed from an older checkpoint: that is no lag.
         """
         self.versions = max(0, newest - deciding)
         if self.versions == 0:
@@ -55,10 +55,10 @@ class PolicyLag:
         if self.seconds > ASK_SECONDS and self._clock() - self._asked_at > ASK_SECONDS:
             self._asked_at = self._clock()
             self._ask()
-        self._say_whether_it_waits(deciding, newest)
+        self._log_change(deciding, newest)
         return not self._waiting
 
-    def _say_whether_it_waits(self, deciding: int, newest: int) -> None:
+    def _log_change(self, deciding: int, newest: int) -> None:
         too_far = self.versions > self._bound
         if too_far and not self._waiting:
             log.warning(

@@ -1,4 +1,4 @@
-"""Drive a batch of environments with the newest policy, explore, and cut what happens into chunks."""
+"""Drives a batch of environments with the newest policy, explores, and cuts the experience into chunks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from athrl_driving.envs import TownRow
+from athrl_driving.envs import EnvView
 from athrl_driving.policy import (
     AnyBatch,
     BatchStep,
@@ -29,9 +29,9 @@ MakeBatch = Callable[[str], AnyBatch]
 
 @dataclass(frozen=True)
 class Moment:
-    """What happened in one environment at one decision, for those who look on."""
+    """The result of one decision in one environment, for live viewing."""
 
-    environment: TownRow
+    environment: EnvView
     town: str
     image: np.ndarray  # uint8 [H, W, C], after the decision
     policy_version: int
@@ -43,8 +43,8 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class _Course:
-    """What follows from the first policy's description, and stays."""
+class _Setup:
+    """What is fixed by the first policy's description."""
 
     description: PolicyDescription
     batch: AnyBatch
@@ -66,18 +66,18 @@ class Rollout:
         sequence_length: int,
         sequences: int = 1,
     ) -> None:
-        """Nothing is decided before a policy is adopted.
+        """A policy has to be adopted before the first step.
 
         Args:
-            make_batch: called once, when the first policy says which kind of action it decides; the batch
-                has `environments` of them and records `sequence_length * sequences` decisions, as many as a
-                chunk has at most.
-            environments: how many there will be.
+            make_batch: called once, when the first policy determines the kind of action; the batch has
+                `environments` environments and records `sequence_length * sequences` decisions, the most in
+                a chunk.
+            environments: their number.
             seeds: of this actor.
             actor: its name.
             incarnation: of its process.
             sequence_length: decisions in a sequence.
-            sequences: in a chunk at most.
+            sequences: the most in a chunk.
         """
         self.statistics = DrivingStatistics()
         self._make_batch = make_batch
@@ -91,7 +91,7 @@ class Rollout:
         self._returns = np.zeros(environments)
         self._update: PolicyUpdate | None = None
         self._policy: OnnxPolicy | None = None
-        self._begun: _Course | None = None
+        self._prepared: _Setup | None = None
         self._states: dict[str, np.ndarray] = {}
 
     def __len__(self) -> int:
@@ -103,59 +103,59 @@ class Rollout:
         return -1 if self._update is None else self._update.version
 
     def adopt(self, update: PolicyUpdate) -> None:
-        """Decide with another policy from now on; episodes and recurrent states are continued.
+        """Decide with another policy from now on; episodes and recurrent states continue.
 
-        The first one has the environments made, which takes seconds.
+        The first policy makes the environments, which takes seconds.
 
-        Raises InvalidPolicy if it cannot be run, or is another kind of policy than the one before.
+        Raises InvalidPolicy if it cannot be run, or has another description than the one before.
         """
         policy = OnnxPolicy(update.artefact)
-        if self._begun is None:
-            self._begun = self._begin(policy)
-        elif policy.description != self._begun.description:
+        if self._prepared is None:
+            self._prepared = self._prepare(policy)
+        elif policy.description != self._prepared.description:
             raise InvalidPolicy(
                 f"policy {update.version} is of another run than the one before: start the actor again"
             )
         self._policy, self._update = policy, update
 
-    def step(self, on_first_row: Callable[[Moment], None] | None = None) -> list[Chunk]:
+    def step(self, on_first_environment: Callable[[Moment], None] | None = None) -> list[Chunk]:
         """Make one decision in every environment; returns the chunks that it completed.
 
-        `on_first_row` is told what happened in the first environment. Raises EnvironmentFailure, whose rows
-        have to be abandoned; what was decided in this call has not happened then.
+        `on_first_environment` is called with the first environment's moment. Raises EnvironmentFailure; its
+        environments have to be abandoned, and the decisions of this call have not been made.
         """
-        policy, update, course = self._policy, self._update, self._course
+        policy, update, setup = self._policy, self._update, self._setup
         if policy is None or update is None:
             raise RuntimeError("there is no policy yet")
         while self._to_begin:
-            self._begin_episode(course, self._to_begin[0])
+            self._begin_episode(setup, self._to_begin[0])
             del self._to_begin[0]
-        decided = self._decide(course, policy, update)
-        outcome = course.batch.step(course.description.environment_action(decided.actions))
+        decided = self._decide(setup, policy, update)
+        outcome = setup.batch.step(setup.description.environment_action(decided.actions))
         self._count(outcome)
-        if on_first_row is not None:
-            on_first_row(self._moment(course, decided, outcome))
+        if on_first_environment is not None:
+            on_first_environment(self._moment(setup, decided, outcome))
         ended = np.flatnonzero(outcome.terminated | outcome.truncated).tolist()
-        chunks = self._cut(decided, {row: bool(outcome.terminated[row]) for row in ended}, update.version)
+        chunks = self._cut(decided, {e: bool(outcome.terminated[e]) for e in ended}, update.version)
         self._states = decided.states
-        for row in ended:
-            collision = bool(outcome.infos["collision"][row])
-            self.statistics.episode_ended(course.batch.towns[row], self._returns[row], collision)
-            self._to_begin.append(row)
+        for env_index in ended:
+            collision = bool(outcome.infos["collision"][env_index])
+            self.statistics.episode_ended(setup.batch.towns[env_index], self._returns[env_index], collision)
+            self._to_begin.append(env_index)
         return chunks
 
-    def abandon(self, rows: Iterable[int]) -> int:
-        """Give up the episodes of environments that failed; return how many open chunks are lost with them.
+    def abandon(self, env_indices: Iterable[int]) -> int:
+        """Give up the episodes of environments that failed; return how many open chunks are lost.
 
         Their next episodes, with other seeds, begin with the next step.
         """
-        given_up = list(rows)
+        given_up = list(env_indices)
         self._to_begin = sorted({*self._to_begin, *given_up})
-        return 0 if self._begun is None else self._begun.cutter.drop(given_up)
+        return 0 if self._prepared is None else self._prepared.cutter.drop(given_up)
 
     def state(self) -> dict[str, Any]:
-        """What `load_state` continues from, beside policy and environments: arrays and plain values."""
-        course = self._course
+        """The state for `load_state`, without policy and environments: arrays and plain values."""
+        setup = self._setup
         return {
             "to_begin": list(self._to_begin),
             "episodes": list(self._episodes),
@@ -163,39 +163,44 @@ class Rollout:
             "steps": self._steps.tolist(),
             "returns": self._returns.copy(),
             "recurrent": {level: state.copy() for level, state in self._states.items()},
-            "noise": course.noise.state(),
-            "chunks": course.cutter.state(),
+            "noise": setup.noise.state(),
+            "chunks": setup.cutter.state(),
         }
 
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Be where the rollout was that `state` is of, before the first step of this one.
+        """Restore the rollout that `state` was taken from, before the first step of this one.
 
-        The policy that decided then has been adopted, and the environments are where they were.
+        The policy that decided then must have been adopted, and the environments must have been restored.
 
         Raises:
             KeyError, TypeError, ValueError: `state` does not fit.
         """
-        course = self._course
-        course.noise.load_state(state["noise"])
+        setup = self._setup
+        setup.noise.load_state(state["noise"])
         self._to_begin, self._episodes = list(state["to_begin"]), list(state["episodes"])
         self._episode_seeds = list(state["episode_seeds"])
         self._steps[:], self._returns[:] = state["steps"], state["returns"]
         for level, recurrent in self._states.items():
             recurrent[:] = state["recurrent"][level]
-        course.cutter.load_state(state["chunks"])
-
-    def flush(self) -> list[Chunk]:
-        """Return what is in the open chunks, padded."""
-        return [] if self._begun is None else self._begun.cutter.flush()
+        setup.cutter.load_state(state["chunks"])
 
     @property
-    def _course(self) -> _Course:
-        if self._begun is None:
-            raise RuntimeError("there is no policy yet")
-        return self._begun
+    def open_decisions(self) -> int:
+        """Decisions of all environments that are not yet in a chunk that was returned."""
+        return 0 if self._prepared is None else self._prepared.cutter.open_decisions
 
-    def _begin(self, policy: OnnxPolicy) -> _Course:
-        """Make the environments and room for what they do, now that the policy's shape is known."""
+    def flush(self) -> list[Chunk]:
+        """Return the open chunks, padded."""
+        return [] if self._prepared is None else self._prepared.cutter.flush()
+
+    @property
+    def _setup(self) -> _Setup:
+        if self._prepared is None:
+            raise RuntimeError("there is no policy yet")
+        return self._prepared
+
+    def _prepare(self, policy: OnnxPolicy) -> _Setup:
+        """Make the environments and the chunk cutter for the policy's description."""
         description = policy.description
         batch = self._make_batch(description.action_kind)
         if len(batch) != len(self):
@@ -216,22 +221,22 @@ class Rollout:
             levels=description.levels,
         )
         noise = ExplorationNoise(description, batch.ranks, self._seeds.exploration())
-        return _Course(description, batch, noise, cutter)
+        return _Setup(description, batch, noise, cutter)
 
-    def _begin_episode(self, course: _Course, row: int) -> None:
-        seed = self._seeds.episode(row, self._episodes[row])
-        self._episodes[row] += 1  # before the reset: a seed with which it fails is not tried again
-        course.batch.reset(row, seed)
-        course.cutter.begin(row, seed)
-        course.noise.reset(row)
+    def _begin_episode(self, setup: _Setup, env_index: int) -> None:
+        seed = self._seeds.episode(env_index, self._episodes[env_index])
+        self._episodes[env_index] += 1  # before the reset: a seed that fails is not tried again
+        setup.batch.reset(env_index, seed)
+        setup.cutter.begin(env_index, seed)
+        setup.noise.reset(env_index)
         for state in self._states.values():
-            state[row] = 0
-        self._episode_seeds[row] = seed
-        self._steps[row] = 0
-        self._returns[row] = 0
+            state[env_index] = 0
+        self._episode_seeds[env_index] = seed
+        self._steps[env_index] = 0
+        self._returns[env_index] = 0
 
-    def _decide(self, course: _Course, policy: OnnxPolicy, update: PolicyUpdate) -> PolicyStep:
-        noise, batch = course.noise, course.batch
+    def _decide(self, setup: _Setup, policy: OnnxPolicy, update: PolicyUpdate) -> PolicyStep:
+        noise, batch = setup.noise, setup.batch
         explored = noise.uniform() if update.uniform_exploration else noise.draw(update.noise_scale)
         return policy.step(batch.images, batch.motion, self._states, explored.noise, explored.forced)
 
@@ -241,20 +246,20 @@ class Rollout:
         self.statistics.decided(outcome.infos["speed"])
 
     def _cut(self, decided: PolicyStep, ended: Mapping[int, bool], version: int) -> list[Chunk]:
-        """Gather the decision, with the states before it."""
-        return self._course.cutter.add(
+        """Add the decision, with the states before it, to the chunks."""
+        return self._setup.cutter.add(
             states=self._states, actions=decided.actions, policy_version=version, ended=ended
         )
 
-    def _moment(self, course: _Course, decided: PolicyStep, outcome: BatchStep) -> Moment:
+    def _moment(self, setup: _Setup, decided: PolicyStep, outcome: BatchStep) -> Moment:
         return Moment(
-            environment=course.batch.environments[0],
-            town=course.batch.towns[0],
-            image=course.batch.images[0],
+            environment=setup.batch.environments[0],
+            town=setup.batch.towns[0],
+            image=setup.batch.images[0],
             policy_version=self.policy_version,
             episode_seed=self._episode_seeds[0],
             step=int(self._steps[0]),
-            decision=course.description.named_values(decided.actions, 0),
+            decision=setup.description.named_values(decided.actions, 0),
             reward=float(outcome.rewards[0]),
             episode_return=float(self._returns[0]),
         )

@@ -10,11 +10,11 @@ ACTOR_ROLE = 2  # the branch of all actors under the run's seed
 EXPLORATION, EPISODES = 0, 1  # the branches of one actor
 
 EPISODE_SEED_BIT = 1 << 62
-"""Set in every training episode's seed, so that none is ever an evaluator's, which fit in 32 bits."""
+"""Set in every training episode's seed, so that none equals an evaluator's seed, which fits in 32 bits."""
 
 
 class ActorSeeds:
-    """Seeds that no other actor, and no earlier life of this one, draws."""
+    """Seeds that no other actor and no earlier incarnation of this one has."""
 
     def __init__(self, run_seed: int, actor: str, incarnation: int) -> None:
         name = int.from_bytes(hashlib.blake2b(actor.encode(), digest_size=8).digest(), "little")

@@ -1,12 +1,12 @@
-"""How the driving goes: what an actor says about itself each second."""
+"""Driving statistics that an actor reports each second."""
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict, deque
 from pathlib import PurePath
 
 import numpy as np
+from athrl_protocol.announcements.recent_rate import RecentRate
 from numpy.typing import NDArray
 
 EPISODES = 20  # over which returns and collisions are averaged
@@ -33,7 +33,7 @@ class _Episodes:
 
 
 class DrivingStatistics:
-    """Counts decisions and episodes."""
+    """Counts decisions and episodes, and averages over them."""
 
     def __init__(self) -> None:
         self._decisions = 0
@@ -41,30 +41,31 @@ class DrivingStatistics:
         self._episodes = _Episodes()
         self._by_town: defaultdict[str, _Episodes] = defaultdict(_Episodes)
         self._speeds: list[float] = []
-        self._decisions_before = 0
-        self._reported_at = time.monotonic()
+        self._rate = RecentRate()
+        self._rate.note(0)
 
     def decided(self, speeds: NDArray[np.floating]) -> None:
-        """Each environment carried out a decision; `speeds` [environments] are means over it, m/s."""
+        """Count a decision of each environment; `speeds` [environments] are means over the decision, m/s."""
         self._decisions += len(speeds)
         self._speeds.append(float(speeds.mean()))
 
     def episode_ended(self, town: str, episode_return: float, collision: bool) -> None:
-        """One episode is over."""
+        """Count an episode that has ended."""
         self._ended += 1
         self._episodes.add(episode_return, collision)
         self._by_town[PurePath(town).stem].add(episode_return, collision)
 
     def report(self) -> dict[str, float]:
-        """The values since the last report; what there is nothing to say about yet is left out.
+        """The present values; those that are not known yet are left out.
 
-        In several towns, returns and collisions are told of each as well, such as `return_mean/town04`.
+        The rate is that of the last minute, the speed that since the last report.
+
+        With several towns, returns and collisions are also reported by town, such as `return_mean/town04`.
         """
-        now = time.monotonic()
-        seconds = max(1e-9, now - self._reported_at)
+        self._rate.note(self._decisions)
         values: dict[str, float] = {
             "decisions": self._decisions,
-            "decisions_per_second": (self._decisions - self._decisions_before) / seconds,
+            "decisions_per_second": self._rate.per_second() or 0.0,
             "episodes": self._ended,
         }
         if self._speeds:
@@ -74,5 +75,4 @@ class DrivingStatistics:
             for town, episodes in self._by_town.items():
                 values |= {f"{name}/{town}": value for name, value in episodes.report().items()}
         self._speeds.clear()
-        self._decisions_before, self._reported_at = self._decisions, now
         return values

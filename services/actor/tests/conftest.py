@@ -1,7 +1,6 @@
-"""A learner that takes chunks in over real Zenoh, and a policy that needs no training."""
+"""A learner that receives chunks over real Zenoh, and a policy that needs no training."""
 
 import json
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -81,7 +80,7 @@ CHOOSING = PolicyDescription(
     ),
 )
 
-# Drives straight on; the states count the decisions of an episode, which tells what a chunk should hold.
+# Drives straight ahead; the states count the decisions of an episode, so the content of a chunk is known.
 REMEMBERING_GRAPH = """
 <ir_version: 8, opset_import: ["" : 17]>
 policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,3] intention_state, float[N,2] trajectory_state,
@@ -116,7 +115,7 @@ policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,3] intention_state, f
 }
 """
 
-# Drives at full speed to the place just left of straight ahead; has no memory.
+# Drives at full speed to the waypoint just left of straight ahead; has no memory.
 CHOOSING_GRAPH = """
 <ir_version: 8, opset_import: ["" : 17]>
 policy (uint8[N,32,32,4] image, float[N,2] motion, float[N,2] forced_choice) => (float[N,2] choice)
@@ -150,7 +149,7 @@ def make_artefact(description: PolicyDescription) -> bytes:
 
 
 class Learner:
-    """Serves a run, keeps the chunks that come, and can be full, finished or away."""
+    """Serves a run, stores received chunks, and can be busy, full, finished or away."""
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -159,6 +158,8 @@ class Learner:
         self.reports: list[MetricsReport] = []
         self.full = False
         self.finished = False
+        self.answers = threading.Event()  # cleared: it is too busy to answer
+        self.answers.set()
         self.version = 0
         self.changed = threading.Condition()
         self.ledger: dict | None = None
@@ -213,6 +214,7 @@ class Learner:
         assert self.wait_for(lambda: len(self.chunks) >= count)
 
     def _accept(self, chunk: Chunk) -> None:
+        self.answers.wait(60)
         with self.changed:
             if self.finished:
                 raise IntakeFinished
@@ -229,16 +231,13 @@ class Learner:
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled_town() -> None:
-    """Have the simulation compiled before an actor is waited for: that takes its time once."""
+    """Compile the simulation before waiting for an actor, as it takes long once."""
     EnvironmentBatch(["town03"], {"vehicles_count": 1}).close()
 
 
 @pytest.fixture
-def learner() -> Iterator[Learner]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    learner = Learner(f"tcp/127.0.0.1:{port}")
+def learner(address: str) -> Iterator[Learner]:
+    learner = Learner(address)
     learner.open()
     yield learner
     learner.close()

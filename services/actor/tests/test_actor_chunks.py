@@ -1,4 +1,4 @@
-"""Chunks are pieces of one episode: nothing lost, nothing glued, states from before each sequence."""
+"""Chunks are pieces of one episode: nothing is lost or joined, states are from before each sequence."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from athrl_actor.chunks import LONGEST_SECONDS, ChunkCutter
-from athrl_driving.episode.tape import new_tape
+from athrl_driving.episode.recording_buffer import new_recording_buffer
 from athrl_driving.policy import Recording
 from athrl_protocol import Chunk, encode_chunk
 from athrl_spaces import REWARD_TERMS, WAYPOINT, Continuous, LevelDescription, Limits, action_kind
@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 
 def image(episode: int, step: int) -> np.ndarray:
-    """What is seen before decision `step` of an episode, unique to it."""
+    """The observation before decision `step` of an episode, unique to it."""
     return np.full((2, 2, 4), (episode * 37 + step * 5 + 1) % 256, np.uint8)
 
 
@@ -27,29 +27,29 @@ INTENTION = LevelDescription("intention", (Continuous("intention", "", 0.0, 2.0)
 TRAJECTORY = LevelDescription("trajectory", action_kind(WAYPOINT).describe(Limits()))
 LEVELS = (INTENTION, TRAJECTORY)
 SHARES = dict(zip(REWARD_TERMS, (8, 4, 2, 1, -1, -2, -11), strict=True))
-"""Of each term in a reward."""
+"""Share of each term in a reward."""
 
 
 class Batch:
-    """Environments that are nothing but their recording, filled as the simulation fills it."""
+    """Environments that consist only of their recording, filled as the simulation fills it."""
 
     def __init__(self, environments: int, decisions: int) -> None:
-        self._tape = new_tape(np.zeros((environments, 2, 2, 4), np.uint8), decisions)
-        self.recording = Recording(self._tape, (2, 2, 4))
+        self._buffer = new_recording_buffer(np.zeros((environments, 2, 2, 4), np.uint8), decisions)
+        self.recording = Recording(self._buffer, (2, 2, 4))
 
-    def see(self, row: int, episode: int, step: int) -> None:
-        """Be where `step` decisions of an episode have led to; the last one earned minus its number."""
+    def see(self, env_index: int, episode: int, step: int) -> None:
+        """Record the state after `step` decisions of an episode; the last one earned minus its number."""
         if step == 0:
-            self._tape.first[row] = 0
-        place = step - self._tape.first[row]
-        self.recording.images[row, place] = image(episode, step)
-        self.recording.motion[row, place] = motion(episode, step)
-        self.recording.rewards[row, place] = 1 - step
-        self.recording.terms[row, place] = (1 - step) * np.array(list(SHARES.values()))
+            self._buffer.first[env_index] = 0
+        place = step - self._buffer.first[env_index]
+        self.recording.images[env_index, place] = image(episode, step)
+        self.recording.motion[env_index, place] = motion(episode, step)
+        self.recording.rewards[env_index, place] = 1 - step
+        self.recording.terms[env_index, place] = (1 - step) * np.array(list(SHARES.values()))
 
 
-class Drive:
-    """A cutter with its environments, and a clock that stands still unless it is told."""
+class CutterHarness:
+    """A cutter with its environments, and a clock that is advanced by hand."""
 
     def __init__(
         self,
@@ -71,15 +71,15 @@ class Drive:
             clock=lambda: self.now,
         )
 
-    def begin(self, row: int, episode: int) -> None:
-        self.batch.see(row, episode, 0)
-        self.cutter.begin(row, 1000 + episode)
+    def begin(self, env_index: int, episode: int) -> None:
+        self.batch.see(env_index, episode, 0)
+        self.cutter.begin(env_index, 1000 + episode)
 
     def decide(self, *where: tuple[int, int, str], version: int = 0) -> list[Chunk]:
         """Make a decision in all environments, of each (episode, step, how it ends)."""
-        for row, (episode, step, _) in enumerate(where):
-            self.batch.see(row, episode, step + 1)
-        ended = {row: how == "terminated" for row, (_, _, how) in enumerate(where) if how}
+        for env_index, (episode, step, _) in enumerate(where):
+            self.batch.see(env_index, episode, step + 1)
+        ended = {e: how == "terminated" for e, (_, _, how) in enumerate(where) if how}
         return self.cutter.add(**decision(where), policy_version=version, ended=ended)
 
 
@@ -97,7 +97,7 @@ def decision(where: tuple[tuple[int, int, str], ...]) -> dict[str, Any]:
 
 
 Case = tuple[list[int], tuple[int, int], list[str]]
-"""Lengths of episodes, sequence length and most sequences of a chunk, how each episode ends."""
+"""Lengths of episodes, sequence length and maximum sequences of a chunk, how each episode ends."""
 
 
 def drive(case: Case) -> list[tuple[int, Chunk]]:
@@ -107,33 +107,33 @@ def drive(case: Case) -> list[tuple[int, Chunk]]:
     its chunks are full at other times.
     """
     lengths, sizes, ends = case
-    course = Drive(2, *sizes)
+    harness = CutterHarness(2, *sizes)
     chunks: list[tuple[int, Chunk]] = []
-    beside: list[Chunk] = []
-    course.begin(0, 99)
+    others: list[Chunk] = []
+    harness.begin(0, 99)
     steps = 0
     for episode, (length, end) in enumerate(zip(lengths, ends, strict=True)):
-        course.begin(1, episode)
+        harness.begin(1, episode)
         for step in range(length):
             here = (episode, step, end if step == length - 1 else "")
-            made = course.decide((99, steps, ""), here, version=10 * episode + step)
+            made = harness.decide((99, steps, ""), here, version=10 * episode + step)
             steps += 1
             chunks += [(episode, chunk) for chunk in made if chunk.environment == 1]
-            beside += [chunk for chunk in made if chunk.environment == 0]
-    rest = course.cutter.flush()
+            others += [chunk for chunk in made if chunk.environment == 0]
+    rest = harness.cutter.flush()
     chunks += [(len(lengths) - 1, chunk) for chunk in rest if chunk.environment == 1]
-    beside += [chunk for chunk in rest if chunk.environment == 0]
-    check_beside(beside, steps)
+    others += [chunk for chunk in rest if chunk.environment == 0]
+    check_other_environment(others, steps)
     return chunks
 
 
-def check_beside(chunks: list[Chunk], steps: int) -> None:
-    """The other environment's chunks are its one episode, whatever happened beside it."""
+def check_other_environment(chunks: list[Chunk], steps: int) -> None:
+    """The other environment's chunks are its one episode, independent of the first environment."""
     assert [chunk.first_step for chunk in chunks] == np.cumsum([0, *(c.length for c in chunks)])[:-1].tolist()
     assert sum(chunk.length for chunk in chunks) == steps
     for chunk in chunks:
-        for row in range(chunk.length + 1):
-            np.testing.assert_array_equal(chunk.images[row], image(99, chunk.first_step + row))
+        for place in range(chunk.length + 1):
+            np.testing.assert_array_equal(chunk.images[place], image(99, chunk.first_step + place))
 
 
 cases = st.lists(st.integers(1, 23), min_size=1, max_size=4).flatmap(
@@ -150,7 +150,7 @@ cases = st.lists(st.integers(1, 23), min_size=1, max_size=4).flatmap(
 
 @settings(max_examples=60, deadline=None)
 @given(cases)
-def test_chunks_are_the_episodes_without_gap_seam_or_overlap(case: Case):
+def test_chunks_are_the_episodes_without_gap_or_overlap(case: Case):
     lengths, (sequence_length, sequences), _ = case
     chunks = drive(case)
     for episode, length in enumerate(lengths):
@@ -164,9 +164,9 @@ def test_chunks_are_the_episodes_without_gap_seam_or_overlap(case: Case):
                 sequence_length,
                 -(-chunk.length // sequence_length),
             )
-            for row in range(chunk.length + 1):  # the observation after the last step included
-                np.testing.assert_array_equal(chunk.images[row], image(episode, step + row))
-                np.testing.assert_array_equal(chunk.motion[row], motion(episode, step + row))
+            for place in range(chunk.length + 1):  # the observation after the last step included
+                np.testing.assert_array_equal(chunk.images[place], image(episode, step + place))
+                np.testing.assert_array_equal(chunk.motion[place], motion(episode, step + place))
             np.testing.assert_array_equal(
                 chunk.policy_version[: chunk.length], 10 * episode + step + np.arange(chunk.length)
             )
@@ -202,25 +202,25 @@ def test_only_the_last_chunk_of_an_episode_says_that_and_how_it_ended(case: Case
 
 
 def test_a_slow_actors_chunk_goes_with_the_sequences_that_it_has():
-    course = Drive(1, 2, sequences=5)
-    course.begin(0, 0)
+    harness = CutterHarness(1, 2, sequences=5)
+    harness.begin(0, 0)
     lengths = []
     for step in range(9):
-        course.now += 0.3 * LONGEST_SECONDS
-        lengths += [chunk.length for chunk in course.decide((0, step, ""))]
+        harness.now += 0.3 * LONGEST_SECONDS
+        lengths += [chunk.length for chunk in harness.decide((0, step, ""))]
     assert lengths == [4, 4]  # after four decisions it is old, and a sequence is complete
 
 
 def test_a_chunk_does_not_change_when_its_sources_or_its_cutter_do():
-    course = Drive(1, 2)
-    course.begin(0, 0)
+    harness = CutterHarness(1, 2)
+    harness.begin(0, 0)
     sources = decision(((0, 0, ""),))
-    course.batch.see(0, 0, 1)
-    course.cutter.add(**sources, policy_version=0, ended={})
+    harness.batch.see(0, 0, 1)
+    harness.cutter.add(**sources, policy_version=0, ended={})
     sources["states"]["intention"][...] = sources["actions"]["intention"][...] = 99
-    (chunk,) = course.cutter.flush()
+    (chunk,) = harness.cutter.flush()
     for step in range(1, 5):
-        course.decide((0, step, ""), version=9)
+        harness.decide((0, step, ""), version=9)
     np.testing.assert_array_equal(chunk.images, [image(0, 0), image(0, 1), np.zeros((2, 2, 4))])
     np.testing.assert_array_equal(chunk.motion, [motion(0, 0), motion(0, 1), [0, 0]])
     np.testing.assert_array_equal(chunk.levels["intention"].states, [[0, 0, 0]])
@@ -237,16 +237,16 @@ def test_a_chunk_does_not_change_when_its_sources_or_its_cutter_do():
         (REWARD_TERMS[::-1], 1),
     ],
 )
-def test_levels_are_paid_the_terms_that_they_say(paid: tuple[str, ...], share: int):
-    course = Drive(2, 3, sequences=2, levels=(replace(INTENTION, rewarded=paid), TRAJECTORY))
-    for row in range(2):
-        course.begin(row, row)
+def test_levels_receive_the_terms_that_they_name(paid: tuple[str, ...], share: int):
+    harness = CutterHarness(2, 3, sequences=2, levels=(replace(INTENTION, rewarded=paid), TRAJECTORY))
+    for env_index in range(2):
+        harness.begin(env_index, env_index)
     chunks = [
         chunk
         for step in range(8)
-        for chunk in course.decide((0, step, ""), (1, step, "terminated" if step == 7 else ""))
+        for chunk in harness.decide((0, step, ""), (1, step, "terminated" if step == 7 else ""))
     ]
-    chunks += course.cutter.flush()
+    chunks += harness.cutter.flush()
     assert [(chunk.environment, chunk.length) for chunk in chunks] == [(0, 6), (1, 6), (1, 2), (0, 2)]
     for chunk in chunks:
         earned = np.zeros(chunk.time, np.float32)
@@ -257,37 +257,37 @@ def test_levels_are_paid_the_terms_that_they_say(paid: tuple[str, ...], share: i
 
 
 def test_an_episode_cannot_begin_over_pending_transitions():
-    course = Drive(1, 3)
-    course.begin(0, 0)
-    course.decide((0, 0, ""))
+    harness = CutterHarness(1, 3)
+    harness.begin(0, 0)
+    harness.decide((0, 0, ""))
     with pytest.raises(RuntimeError, match="pending"):
-        course.begin(0, 1)
+        harness.begin(0, 1)
 
 
 def test_what_is_dropped_is_in_no_chunk_and_counted_where_there_was_something():
-    course = Drive(2, 3)
-    for row in range(2):
-        course.begin(row, row)
-    assert course.cutter.drop([0, 1]) == 0
-    course.decide((0, 0, ""), (1, 0, ""))
-    assert course.cutter.drop([1]) == 1
-    course.begin(1, 2)
-    chunks = course.decide((0, 1, "truncated"), (2, 0, "terminated"))
+    harness = CutterHarness(2, 3)
+    for env_index in range(2):
+        harness.begin(env_index, env_index)
+    assert harness.cutter.drop([0, 1]) == 0
+    harness.decide((0, 0, ""), (1, 0, ""))
+    assert harness.cutter.drop([1]) == 1
+    harness.begin(1, 2)
+    chunks = harness.decide((0, 1, "truncated"), (2, 0, "terminated"))
     assert [(chunk.episode_seed, chunk.length) for chunk in chunks] == [(1000, 2), (1002, 1)]
     np.testing.assert_array_equal(chunks[1].images[:2], [image(2, 0), image(2, 1)])
 
 
 @pytest.mark.parametrize("sequences", [1, 2])
-def test_cutter_goes_on_from_its_state_in_the_middle_of_episodes(sequences: int):
-    first, second = Drive(2, 4, sequences), Drive(2, 4, sequences)
-    for row in range(2):
-        first.begin(row, row)
+def test_cutter_continues_from_its_state_in_the_middle_of_episodes(sequences: int):
+    first, second = CutterHarness(2, 4, sequences), CutterHarness(2, 4, sequences)
+    for env_index in range(2):
+        first.begin(env_index, env_index)
     for step in range(6):
         first.decide((0, step, ""), (1, step, ""), version=step)
     second.cutter.load_state(first.cutter.state())
     made = [
-        course.decide((0, 6, "terminated"), (1, 6, ""), version=6) + course.cutter.flush()
-        for course in (first, second)
+        harness.decide((0, 6, "terminated"), (1, 6, ""), version=6) + harness.cutter.flush()
+        for harness in (first, second)
     ]
     for one, other in zip(*made, strict=True):
         assert encode_chunk(one) == encode_chunk(other)

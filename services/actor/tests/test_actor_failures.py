@@ -1,4 +1,4 @@
-"""Environments that raise or stall cost their episodes and nothing else; too many of them end the actor."""
+"""Environments that raise or stall lose only their episodes; too many failures end the actor."""
 
 import logging
 import math
@@ -15,8 +15,8 @@ from athrl_driving.policy import BatchStep, EnvironmentBatch, EnvironmentRaised,
 ENOUGH = 60.0
 
 
-class Saboteur:
-    """Stands before the environments' steps or resets and does harm at chosen calls."""
+class FaultInjector:
+    """Wraps the environments' steps or resets and fails at chosen calls."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, method: str, harm: Callable[[], None]) -> None:
         self.calls = 0
@@ -43,8 +43,8 @@ def raise_it() -> None:
 
 @pytest.fixture
 def hang(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]:
-    """Does not return before the test ends."""
-    monkeypatch.setattr(guard, "GLANCE_SECONDS", 0.05)
+    """A call that does not return before the test ends."""
+    monkeypatch.setattr(guard, "POLL_SECONDS", 0.05)
     over = threading.Event()
     yield lambda: over.wait(ENOUGH) and None
     over.set()
@@ -94,7 +94,7 @@ def configure(learner: Any, **settings: Any) -> None:
 
 
 def check_episodes(learner: Any) -> None:
-    """Every episode's chunks are its beginning without a gap, and no two episodes have a seed in common."""
+    """Every episode's chunks cover it from its beginning without a gap, and no two episodes share a seed."""
     steps: dict[tuple[int, int], int] = {}
     for chunk in learner.chunks:
         episode = (chunk.environment, chunk.episode_seed)
@@ -108,7 +108,7 @@ def test_environment_that_raises_is_reset_with_another_seed_and_counted(
     learner, start, monkeypatch, caplog
 ) -> None:
     monkeypatch.setattr("athrl_actor.chunks.LONGEST_SECONDS", math.inf)  # chunks are cut by their length
-    steps = Saboteur(monkeypatch, "step", raise_it)
+    steps = FaultInjector(monkeypatch, "step", raise_it)
     steps.at = {6, 14}  # in the middle of the second chunk, and of a later one
     learner.publish(0)
     driving = start()
@@ -127,7 +127,7 @@ def test_environment_that_raises_is_reset_with_another_seed_and_counted(
 def test_reset_that_raises_is_tried_with_another_seed_and_loses_no_finished_chunk(
     learner, start, monkeypatch
 ) -> None:
-    resets = Saboteur(monkeypatch, "reset", raise_it)
+    resets = FaultInjector(monkeypatch, "reset", raise_it)
     resets.at = {2, 5}
     learner.publish(0)
     driving = start()
@@ -142,11 +142,11 @@ def test_reset_that_raises_is_tried_with_another_seed_and_loses_no_finished_chun
     assert len(ends) >= values["episodes"]
 
 
-def test_environment_that_stalls_is_abandoned_and_driving_goes_on(
+def test_environment_that_stalls_is_abandoned_and_driving_continues(
     learner, start, monkeypatch, hang, caplog
 ) -> None:
     configure(learner, stall_seconds=0.5)
-    steps = Saboteur(monkeypatch, "step", hang)
+    steps = FaultInjector(monkeypatch, "step", hang)
     steps.at = {6}
     learner.publish(0)
     driving = start()
@@ -162,11 +162,9 @@ def test_environment_that_stalls_is_abandoned_and_driving_goes_on(
     check_episodes(learner)
 
 
-def test_actor_whose_environments_fail_again_and_again_leaves_with_the_reason(
-    learner, start, monkeypatch
-) -> None:
+def test_actor_whose_environments_fail_repeatedly_exits_with_the_reason(learner, start, monkeypatch) -> None:
     configure(learner, failures_allowed=3)
-    steps = Saboteur(monkeypatch, "step", raise_it)
+    steps = FaultInjector(monkeypatch, "step", raise_it)
     learner.publish(0)
     driving = start()
     learner.wait_for_chunks(6)
@@ -180,11 +178,11 @@ def test_actor_whose_environments_fail_again_and_again_leaves_with_the_reason(
     assert "\n" not in said
     check_episodes(learner)
     assert learner.wait_for(lambda: learner.intake.statistics().stored == len(learner.chunks))
-    produced = learner.chunks[-1].sequence + 1  # all that were complete came, in order
+    produced = learner.chunks[-1].sequence + 1  # all complete chunks arrived in order
     assert [chunk.sequence for chunk in learner.chunks] == list(range(produced))
 
 
-def test_failures_of_long_ago_are_forgiven() -> None:
+def test_old_failures_do_not_count() -> None:
     now = 0.0
     count = FailureCount(1, clock=lambda: now)
     for _ in range(5):
@@ -197,7 +195,7 @@ def test_failures_of_long_ago_are_forgiven() -> None:
 
 
 def test_time_in_which_the_process_was_paused_is_no_stall(monkeypatch) -> None:
-    """After SIGCONT a wait has ended by the clock, although the environments had no time to answer."""
+    """After SIGCONT a wait has expired although the environments had no time to answer."""
     batch = guard.GuardedBatch(["town03"], {"vehicles_count": 2}, seconds=5)
     batch.reset(0, 1)
     batch.reset(0, 2)
@@ -215,7 +213,7 @@ def test_time_in_which_the_process_was_paused_is_no_stall(monkeypatch) -> None:
     monkeypatch.setattr(batch._worker, "_calls", calls := guard.SimpleQueue())
     threading.Thread(target=guard._serve, args=(calls, outcomes), daemon=True).start()
     batch.reset(0, 3)
-    assert waits == [guard.GLANCE_SECONDS]
+    assert waits == [guard.POLL_SECONDS]
     batch.close()
 
 

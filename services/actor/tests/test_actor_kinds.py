@@ -1,4 +1,4 @@
-"""An actor drives whatever its first policy decides, in all towns of its run, and never two kinds at once."""
+"""An actor drives with its first policy's kind of action, in all towns of its run, and with no other."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -103,8 +103,8 @@ def test_environments_drive_in_every_town_of_the_run() -> None:
     run_file = RunFile(**settings, actor={"environments": 6})
     batch = make_batch(run_file, "waypoint")
     assert sorted(batch.towns) == ["town02", "town02", *["town03"] * 4]
-    for row, town in enumerate(batch.towns):
-        assert batch.environments[row].config["town"] == town
+    for env_index, town in enumerate(batch.towns):
+        assert batch.environments[env_index].config["town"] == town
     batch.close()
 
 

@@ -1,4 +1,4 @@
-"""An actor drives with the newest policy, asks for one that did not come, and waits when it is too old."""
+"""An actor drives with the newest policy, requests one that did not arrive, and waits if it lags too far."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ from athrl_protocol import Phase, RunState
 
 @pytest.fixture
 def driving(learner: Any) -> Iterator[Callable[[], None]]:
-    """Starts an actor, which is stopped after the test."""
+    """Start an actor, which is stopped after the test."""
     stop = threading.Event()
     threads: list[threading.Thread] = []
 
@@ -29,12 +29,12 @@ def driving(learner: Any) -> Iterator[Callable[[], None]]:
 
 
 def announce(learner: Any, version: int) -> None:
-    """Tell of a version in the run's state."""
+    """Announce a version in the run's state."""
     learner.states.publish(RunState(Phase.TRAINING, 1, 1000, 1, version))
 
 
 def lose_what_is_put(learner: Any, monkeypatch: pytest.MonkeyPatch, *, reminders: bool) -> None:
-    """Have policies answered to whoever asks, but lost on their way to who does not; their reminders, too?"""
+    """Lose published policies, and their `reminders` if set; requests for a policy are still answered."""
     newest = learner.policies._publisher
 
     class Lossy:
@@ -65,7 +65,7 @@ def test_policy_that_was_lost_on_its_way_is_asked_for(learner, driving, monkeypa
     assert learner.wait_for(lambda: learner.chunks[-1].policy_version[0] == 2)
 
 
-def test_policy_whose_put_was_lost_comes_soon_although_nobody_else_tells_of_it(
+def test_policy_whose_put_was_lost_arrives_soon_without_another_announcement(
     learner, driving, monkeypatch
 ) -> None:
     learner.publish(1)
@@ -79,7 +79,7 @@ def test_policy_whose_put_was_lost_comes_soon_although_nobody_else_tells_of_it(
     assert set(versions) == {1, 2, 3}
 
 
-def test_actor_too_far_behind_waits_and_goes_on_with_a_newer_policy(learner, driving, caplog) -> None:
+def test_actor_too_far_behind_waits_and_continues_with_a_newer_policy(learner, driving, caplog) -> None:
     learner.publish(1)
     driving()
     learner.wait_for_chunks(2)
@@ -106,7 +106,7 @@ def test_actor_too_far_behind_waits_and_goes_on_with_a_newer_policy(learner, dri
 def test_waiting_actor_gets_the_policy_although_the_learner_publishes_no_other(
     learner, driving, monkeypatch
 ) -> None:
-    """A learner that waits for this actor's experience makes no update, so it publishes nothing."""
+    """A learner that waits for this actor's experience makes no updates and publishes nothing."""
     learner.publish(1)
     driving()
     learner.wait_for_chunks(2)
@@ -123,7 +123,7 @@ def test_learner_that_went_back_to_an_older_checkpoint_is_followed_at_once(learn
     learner.wait_for_chunks(2)
     learner.close()
     learner.open()
-    learner.publish(3)  # its folder did not tell it of newer ones
+    learner.publish(3)  # its folder has no newer ones
     announce(learner, 3)
     assert learner.wait_for(lambda: learner.chunks[-1].policy_version[0] == 3)
     versions = [int(version) for chunk in learner.chunks for version in chunk.policy_version[: chunk.length]]
@@ -135,16 +135,16 @@ def test_newest_version_is_asked_for_once_a_second_at_most_and_only_when_it_is_l
     now, asked = 0.0, []
     lag = PolicyLag(10, lambda: asked.append(now), clock=lambda: now)
     for _ in range(40):
-        assert lag.look(7, 7)
+        assert lag.update(7, 7)
         now += 0.1
     assert asked == []
     for _ in range(40):
-        assert lag.look(7, 9)
+        assert lag.update(7, 9)
         now += 0.1
     assert 2 <= len(asked) <= 4
     assert asked[0] - 4.0 >= ASK_SECONDS
     assert (lag.versions, round(lag.seconds)) == (2, 4)
-    assert not lag.look(7, 18)
-    assert lag.look(18, 18)
+    assert not lag.update(7, 18)
+    assert lag.update(18, 18)
     assert lag.seconds == 0
-    assert lag.look(18, 4)  # a learner that has gone back is not ahead
+    assert lag.update(18, 4)  # a learner that has gone back is not ahead

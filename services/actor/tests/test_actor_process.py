@@ -1,4 +1,4 @@
-"""`athrl actor` as a process: what it cannot go on with is one line, an exit code, and no wait."""
+"""`athrl actor` as a process: a fatal error is one line and an exit code, without waiting."""
 
 import subprocess
 import sys
@@ -21,21 +21,21 @@ def stall_in_the_end(batch, *arguments):
 EnvironmentBatch.step = stall_in_the_end
 """
 THREAD_FAILS = """
-from athrl_protocol.upload_window import UploadWindow
+from athrl_protocol.delivery.upload_window import UploadWindow
 def fail(*arguments):
     raise MemoryError("no room for an acknowledgement")
 UploadWindow.acknowledge = fail
 """
 CALLBACK_FAILS = """
-from athrl_protocol.newest import NewestSubscriber
+from athrl_protocol.announcements.latest_value import LatestSubscriber
 def fail(*arguments):
     raise KeyError("edition")
-NewestSubscriber._keep = fail
+LatestSubscriber._keep = fail
 """
 
 
 def leave(learner: Any, harm: str, folder: Path) -> tuple[int, str, list[str]]:
-    """Run an actor that comes to harm; its exit code, standard output, and lines on standard error."""
+    """Run an actor with an injected fault; its exit code, standard output, and lines on standard error."""
     program = f"{harm}\nfrom athrl.command import main\nmain()"
     command = [sys.executable, "-c", program, "actor", "--connect", learner.address, "--run", "test"]
     with (folder / "errors").open("wb") as errors:
@@ -56,7 +56,7 @@ def configure(learner: Any, **settings: Any) -> None:
     learner.open()
 
 
-def test_actor_whose_environments_stall_again_and_again_leaves_with_code_2(learner, tmp_path) -> None:
+def test_actor_whose_environments_stall_repeatedly_exits_with_code_2(learner, tmp_path) -> None:
     configure(learner, stall_seconds=0.5, failures_allowed=2)
     learner.publish(0)
     code, output, lines = leave(learner, STALLING, tmp_path)
@@ -80,9 +80,7 @@ def test_actor_whose_environments_stall_again_and_again_leaves_with_code_2(learn
         (CALLBACK_FAILS, "the subscription to athrl/test/"),
     ],
 )
-def test_actor_of_which_a_thread_fails_leaves_with_the_reason(
-    learner, tmp_path, harm: str, said: str
-) -> None:
+def test_actor_with_a_failed_thread_exits_with_the_reason(learner, tmp_path, harm: str, said: str) -> None:
     learner.publish(0)
     code, output, lines = leave(learner, harm, tmp_path)
     assert code == 2

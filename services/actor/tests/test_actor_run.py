@@ -113,6 +113,49 @@ def _actions(chunk: Chunk, version: int) -> np.ndarray:
     return chunk.levels["trajectory"].actions[valid & (chunk.policy_version == version)]
 
 
+@pytest.fixture
+def short_warm_up(learner) -> int:
+    """Random decisions before training; the learner's run has so few."""
+    learner.close()
+    exploration = learner.run_file.exploration.model_copy(update={"random_decisions": 30})
+    learner.run_file = learner.run_file.model_copy(update={"exploration": exploration})
+    learner.open()
+    return 30
+
+
+def test_a_random_policy_drives_what_the_warm_up_needs_and_no_more(learner, start: Start, short_warm_up: int):
+    def driven() -> float:
+        return learner.reports[-1].values["decisions"] if learner.reports else 0
+
+    learner.answers.clear()
+    learner.publish(0, uniform=True)
+    start()
+    assert learner.wait_for(lambda: driven() >= short_warm_up)
+    before = len(learner.reports)
+    assert learner.wait_for(lambda: len(learner.reports) >= before + 2)
+    assert short_warm_up <= driven() < short_warm_up + 2  # two environments decide together
+    learner.answers.set()
+    assert learner.wait_for(lambda: sum(chunk.length for chunk in learner.chunks) == driven())
+    learner.announce(Phase.TRAINING)
+    before = len(learner.chunks)
+    learner.publish(1)
+    learner.wait_for_chunks(before + 4)
+    assert {
+        version for chunk in learner.chunks[before:] for version in chunk.policy_version[: chunk.length]
+    } == {1}
+
+
+def test_random_decisions_that_the_learner_has_lost_are_driven_again(
+    learner, start: Start, short_warm_up: int
+):
+    learner.publish(0, uniform=True)
+    start()
+    assert learner.wait_for(lambda: sum(chunk.length for chunk in learner.chunks) >= short_warm_up)
+    learner.chunks.clear()
+    learner.announce(Phase.WARMING_UP)
+    assert learner.wait_for(lambda: sum(chunk.length for chunk in learner.chunks) >= short_warm_up)
+
+
 def test_a_new_policy_is_used_within_an_episode_and_the_states_are_carried_on(learner, start: Start):
     learner.publish(3)
     start()
@@ -146,7 +189,7 @@ def test_a_learner_that_is_full_makes_the_actor_wait_and_loses_nothing(learner, 
         assert [chunk.first_step for chunk in chunks] == [0, *ends[:-1]]
 
 
-def test_the_actor_goes_on_when_the_learner_comes_back(learner, start: Start):
+def test_the_actor_continues_when_the_learner_comes_back(learner, start: Start):
     learner.publish(0)
     start()
     learner.wait_for_chunks(4)
@@ -172,7 +215,7 @@ def test_the_actor_ends_by_itself_when_the_run_is_finished(learner, start: Start
     service.join()
 
 
-def test_stopping_hands_over_the_open_chunks(learner, start: Start):
+def test_stopping_sends_the_open_chunks(learner, start: Start):
     learner.publish(0)
     service = start()
     learner.wait_for_chunks(3)
@@ -180,7 +223,8 @@ def test_stopping_hands_over_the_open_chunks(learner, start: Start):
     service.join()
     last = {environment: chunks[-1] for (environment, _), chunks in by_episode(learner.chunks).items()}
     decisions = [
-        sum(chunk.length for chunk in learner.chunks if chunk.environment == row) for row in range(2)
+        sum(chunk.length for chunk in learner.chunks if chunk.environment == env_index)
+        for env_index in range(2)
     ]
     assert decisions[0] == decisions[1]  # both environments are stepped together, so nothing is missing
     assert len(last) == 2
@@ -216,7 +260,7 @@ def test_an_actor_waits_for_the_first_policy_and_can_be_stopped_meanwhile(learne
 def test_a_taken_name_is_an_error_that_says_what_to_do(
     learner, start: Start, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("athrl_protocol.joining.NAME_SECONDS", 0.2)
+    monkeypatch.setattr("athrl_protocol.announcements.joining.NAME_SECONDS", 0.2)
     with (
         open_session(connect=learner.address, timeout=5) as session,
         announce_presence(session, "test", "actor", "one"),
@@ -233,7 +277,7 @@ def test_a_run_that_does_not_exist_is_an_error_that_names_those_that_do(learner)
         run_actor(connect=learner.address, run="other", name="one", stop=threading.Event())
 
 
-def test_metrics_say_how_the_driving_goes(learner, start: Start):
+def test_metrics_report_the_driving(learner, start: Start):
     learner.publish(5)
     start()
     assert learner.wait_for(lambda: any("return_mean" in report.values for report in learner.reports))
@@ -247,7 +291,7 @@ def test_metrics_say_how_the_driving_goes(learner, start: Start):
     assert values["chunks_given_up"] == 0
 
 
-def test_frames_flow_while_somebody_watches(learner, start: Start):
+def test_frames_flow_while_they_are_watched(learner, start: Start):
     learner.publish(2)
     start()
     frames: list = []
@@ -293,7 +337,7 @@ def test_the_last_report_accounts_for_every_chunk(learner, start: Start, monkeyp
     assert sum(reasons) == values["chunks_given_up"]
 
 
-def test_policy_that_never_comes_is_missed_once(learner, start: Start, caplog) -> None:
+def test_policy_that_never_arrives_is_warned_of_once(learner, start: Start, caplog) -> None:
     learner.close()
     network = learner.run_file.network.model_copy(update={"patience": 0.5})
     learner.run_file = learner.run_file.model_copy(update={"network": network})

@@ -1,4 +1,4 @@
-"""No two actors, lives of an actor, environments or episodes share a seed."""
+"""No two actors, incarnations of an actor, environments or episodes share a seed."""
 
 from itertools import product
 

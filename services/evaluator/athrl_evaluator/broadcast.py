@@ -1,8 +1,8 @@
-"""Show the newest first episode to whoever watches, near real time, without holding up the evaluation.
+"""Plays the newest first episode to viewers, in near real time, without delaying the evaluation.
 
-An episode is driven in a fraction of the time that it simulates. So the frames of the first episode of each
-evaluation are kept, and a thread of its own plays them while somebody watches; the newest episode is played
-again until there is a newer one.
+An episode is driven in a fraction of its simulated time. So the frames of the first episode of each
+evaluation are kept, and a separate thread plays them while they are watched; the newest episode is repeated
+until there is a newer one.
 """
 
 from __future__ import annotations
@@ -12,28 +12,28 @@ import threading
 from typing import Protocol
 
 from athrl_protocol import Frame
-from athrl_protocol.background import Background
+from athrl_protocol.faults.background import Background
 
-LONGEST_PAUSE = 1.0  # s between two frames, whatever their simulated times are
+LONGEST_PAUSE = 1.0  # s between two frames at most
 PAUSE_BETWEEN = 1.0  # s between two episodes
-IDLE = 0.2  # s between two looks whether somebody watches
+POLL_SECONDS = 0.2  # s between two checks for viewers
 
 log = logging.getLogger(__name__)
 
 
 class FrameSink(Protocol):
-    """What the frames are given to."""
+    """The receiver of the frames."""
 
     @property
     def watched(self) -> bool:
-        """Whether somebody watches."""
+        """Whether there is a viewer."""
 
     def publish(self, frame: Frame) -> None:
         """Send one frame."""
 
 
 class Broadcast:
-    """Plays the newest episode while somebody watches."""
+    """Plays the newest episode while it is watched."""
 
     def __init__(self, sink: FrameSink) -> None:
         self._sink = sink
@@ -45,7 +45,7 @@ class Broadcast:
         self._thread.start()
 
     def show(self, frames: list[Frame]) -> None:
-        """A new episode; it is played when the present one is over."""
+        """Set a new episode; it is played when the present one is over."""
         with self._lock:
             self._newest = frames
 
@@ -55,11 +55,11 @@ class Broadcast:
         self._thread.join(timeout=5)
 
     def _play(self) -> None:
-        while not self._stop.wait(IDLE):
+        while not self._stop.wait(POLL_SECONDS):
             with self._lock:
                 frames = self._newest
             if frames and self._sink.watched:
-                with self._background.watched():  # the next episode may go better
+                with self._background.watched():  # the next episode may succeed
                     self._play_episode(frames)
                 self._stop.wait(PAUSE_BETWEEN)
 

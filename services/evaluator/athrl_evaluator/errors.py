@@ -1,4 +1,4 @@
-"""What may go wrong in an evaluation and is no bug."""
+"""Errors of an evaluation that are not bugs."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 
 
 class EvaluatorError(RuntimeError):
-    """Something that the user can mend, such as a disk that is full; `str()` of it is one line."""
+    """An error that the user can fix, such as a full disk; its message is one line."""
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn what the disk says inside the block into an EvaluatorError that names the file."""
+    """Convert an OSError inside the block to an EvaluatorError that names the file."""
     try:
         yield
     except OSError as error:

@@ -1,85 +1,100 @@
-"""Score one driver: what `athrl evaluate` does."""
+"""Scores one driver, for `athrl evaluate`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from athrl_driving.policy import OnnxPolicy
 from athrl_protocol.run_file import ActorSection, EnvironmentSection
+from athrl_spaces import REFERENCE_DRIVERS
 
-from athrl_evaluator.drivers import REFERENCE_DRIVERS, BatchDriver, GreedyPolicy, ReferenceDriver
-from athrl_evaluator.environments import Environments, environment_for, require_fitting, town_labels
-from athrl_evaluator.episodes import Onlooker, drive_episodes
 from athrl_evaluator.errors import EvaluatorError
-from athrl_evaluator.forcing import read_forced
-from athrl_evaluator.onlookers import Recorder
-from athrl_evaluator.policy_files import load_policy
-from athrl_evaluator.scores import EpisodeResult, Scores, score
+from athrl_evaluator.observers import Recorder
+from athrl_evaluator.policies.files import load_policy
+from athrl_evaluator.scoring.drivers import BatchDriver, GreedyPolicy, ReferenceDriver
+from athrl_evaluator.scoring.environments import Environments, environment_for, require_fitting, town_labels
+from athrl_evaluator.scoring.episodes import EpisodeObserver, drive_episodes
+from athrl_evaluator.scoring.forced_decisions import read_forced
+from athrl_evaluator.scoring.scores import EpisodeResult, Scores, score
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """What is driven in an evaluation.
+
+    Attributes:
+        episodes: in each town, 2 or more.
+        seed: of the first episode; the others have `seed + 1`, `seed + 2`, ...
+        environment: settings of the environment and its towns; None: the defaults. A policy drives with the
+            image size and the limits that it was trained for.
+        case_study: drive this one instead of the towns (see `make_batch`).
+        forced: decisions of the policy that are forced, each as NAME=VALUE.
+        batch: environments that are stepped together; the scores do not depend on it.
+        stall_seconds: within which a step returns.
+    """
+
+    episodes: int
+    seed: int
+    environment: EnvironmentSection | None = None
+    case_study: str | None = None
+    forced: Sequence[str] = ()
+    batch: int = 8
+    stall_seconds: float = ActorSection().stall_seconds
 
 
 def evaluate_driver(
     driver: OnnxPolicy | Path | str,
+    settings: EvaluationSettings,
     *,
-    environment: EnvironmentSection | None = None,
-    case_study: str | None = None,
-    episodes: int,
-    seed: int,
-    batch: int = 8,
-    stall_seconds: float = ActorSection().stall_seconds,
     record: Path | None = None,
-    forced: Sequence[str] = (),
-    onlookers: Sequence[Onlooker] = (),
+    observers: Sequence[EpisodeObserver] = (),
 ) -> Scores:
-    """Drive `episodes` episodes, 2 or more, on the seeds `seed`, `seed + 1`, ... in each town; score them.
+    """Drive the episodes of an evaluation and score them.
 
     Args:
-        driver: a policy, a policy file, or one of REFERENCE_DRIVERS by name. A policy drives an environment
-            with the image size and the limits that it was trained for.
-        environment: everything else of the environment, and its towns.
-        case_study: drive this one instead (see `make_batch`).
-        episodes: in each town.
-        seed: of the first episode.
-        batch: environments that are stepped together, which the scores do not depend on.
-        stall_seconds: within which a step returns.
+        driver: a policy, a policy file, or one of REFERENCE_DRIVERS by name.
+        settings: what is driven.
         record: folder in which each episode is recorded as an MCAP file, named after the policy's file.
-        forced: decisions of the policy that are forced, each as NAME=VALUE.
-        onlookers: are told of every step.
+        observers: notified of every step.
 
     Raises:
-        InvalidPolicy: a file is not a policy, or not the one of which the facts beside it tell.
-        RunFileError: `environment` names a value that the policy was not made for.
-        CannotForce: the policy does not decide what is to be forced.
-        EnvironmentFailure: an environment fails or takes longer than `stall_seconds`.
-        EvaluatorError: the disk does not take the recordings, or something is to be forced on no policy.
+        InvalidPolicy: a file is not a policy, or not the one that the JSON file beside it describes.
+        RunFileError: `settings.environment` names a value that the policy was not made for.
+        CannotForce: the policy does not decide a value that is to be forced.
+        EnvironmentFailure: an environment fails or takes longer than `settings.stall_seconds`.
+        EvaluatorError: the recordings cannot be written, or a decision is forced but the driver is no policy.
     """
-    section = environment or EnvironmentSection()
+    section, forced = settings.environment or EnvironmentSection(), settings.forced
     policy = None if driver in REFERENCE_DRIVERS else _load(driver)
     if policy is not None:
         require_fitting(policy.description, section)
         section = environment_for(policy.description, section)
     elif forced:
         raise EvaluatorError(f"--force {forced[0]}: {driver} is no policy, nothing can be forced on it")
+    count = min(settings.batch, settings.episodes)
+    seeds = range(settings.seed, settings.seed + settings.episodes)
     with ExitStack() as stack:
-        environments = Environments(section, min(batch, episodes), stall_seconds, case_study)
+        environments = Environments(section, count, settings.stall_seconds, settings.case_study)
         stack.callback(environments.close)
         labels, results = town_labels(environments.towns), list[EpisodeResult]()
         for town in environments.towns:
-            drives = make_batch_driver(
-                policy if policy is not None else str(driver), min(batch, episodes), forced=forced
+            batch_driver = make_batch_driver(
+                policy if policy is not None else str(driver), count, forced=forced
             )
-            looking = list(onlookers)
+            observing = list(observers)
             if record is not None:
-                named = [driver.stem if isinstance(driver, Path) else drives.name]
+                named = [driver.stem if isinstance(driver, Path) else batch_driver.name]
                 named += [labels[town]] if len(labels) > 1 else []
                 recorder = Recorder(
-                    drives, record, episodes=episodes, kept=None, needed=True, named="-".join(named)
+                    batch_driver, record, episodes=len(seeds), kept=None, needed=True, named="-".join(named)
                 )
                 stack.callback(recorder.close)
-                looking.insert(0, recorder)
-            at = environments.batch(town, drives.action_kind)
-            results += drive_episodes(drives, at, range(seed, seed + episodes), looking)
+                observing.insert(0, recorder)
+            batch = environments.batch(town, batch_driver.action_kind)
+            results += drive_episodes(batch_driver, batch, seeds, observing)
         return score(results)
 
 
@@ -89,7 +104,7 @@ def make_batch_driver(
     """A driver of `count` environments: a policy, or one of REFERENCE_DRIVERS by name.
 
     Raises:
-        CannotForce: the policy does not decide what is to be forced.
+        CannotForce: the policy does not decide a value that is to be forced.
     """
     if isinstance(driver, OnnxPolicy):
         return GreedyPolicy(driver, count, policy_version, read_forced(forced, driver.description))

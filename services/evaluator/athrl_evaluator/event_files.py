@@ -1,4 +1,7 @@
-"""TensorBoard event files of everybody's metrics and of the evaluations, without torch or TensorFlow."""
+"""TensorBoard event files of all services' metrics and of evaluations, without torch or TensorFlow.
+
+Each file also has the layout of the run's page.
+"""
 
 from __future__ import annotations
 
@@ -9,29 +12,32 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from athrl_protocol.faults.bounded_log import RareLog
 from tensorboard.compat.proto.event_pb2 import Event  # type: ignore[import-untyped]
 from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore[import-untyped]
 from tensorboard.summary.writer.record_writer import RecordWriter  # type: ignore[import-untyped]
 
-from athrl_evaluator.results import append
+from athrl_evaluator.dashboard import layout_value, links_value
+from athrl_evaluator.scoring.results import append
 
 log = logging.getLogger(__name__)
 
 
 class EventFiles:
-    """Writes scalars over environment steps; what a full disk does not take is missing in the curves.
+    """Writes scalars over environment steps; values that a full disk rejects are missing in the curves.
 
-    TensorBoard's own writer is not used: after one failed write it refuses all that follow.
+    TensorBoard's own writer is not used: after one failed write it fails for all later ones.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, warn: Callable[[str], object] | None = None) -> None:
+        """`warn` is called with a text when the file cannot be written."""
         name = f"events.out.tfevents.{time.time():017.6f}.{socket.gethostname()}.{os.getpid()}"
         self._path = folder / name
         self._begun = False
-        self._missing = False
+        self._warn = warn or RareLog(log.warning)
         self._lock = threading.Lock()
 
     def add(self, prefix: str, values: Mapping[str, float], environment_steps: int, wall_time: float) -> None:
@@ -41,22 +47,34 @@ class EventFiles:
             for name, value in sorted(values.items())
             if math.isfinite(value)
         ]
-        event = Event(wall_time=wall_time, step=environment_steps, summary=Summary(value=scalars))
-        with self._lock:
-            self._write(event)
+        self._write(Event(wall_time=wall_time, step=environment_steps, summary=Summary(value=scalars)))
+
+    def add_links(self, recordings: Path, environment_steps: int, wall_time: float) -> None:
+        """Say where the live episode and the newest recordings, in this folder, are seen."""
+        links = Summary(value=[links_value(recordings)])
+        self._write(Event(wall_time=wall_time, step=environment_steps, summary=links))
 
     def _write(self, event: Event) -> None:
-        first = [] if self._begun else [Event(wall_time=event.wall_time, file_version="brain.Event:2")]
+        with self._lock:
+            self._append([event] if self._begun else [*_beginning(event.wall_time), event])
+
+    def _append(self, events: Sequence[Event]) -> None:
         content = io.BytesIO()
         records = RecordWriter(content)
-        for each in [*first, event]:
+        for each in events:
             records.write(each.SerializeToString())
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             append(content.getvalue(), self._path)
         except OSError as error:
-            if not self._missing:
-                log.warning("cannot write %s: %s; curves go on when it can", self._path, error.strerror)
-            self._missing = True
+            self._warn(f"cannot write {self._path}: {error.strerror}; curves go on when it can")
         else:
-            self._begun, self._missing = True, False
+            self._begun = True
+
+
+def _beginning(wall_time: float) -> list[Event]:
+    """What each file begins with."""
+    return [
+        Event(wall_time=wall_time, file_version="brain.Event:2"),
+        Event(wall_time=wall_time, summary=Summary(value=[layout_value()])),
+    ]

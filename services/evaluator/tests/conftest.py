@@ -1,7 +1,6 @@
 """A small untrained policy of the real planner, and a learner's announcements over real Zenoh."""
 
 import json
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -52,7 +51,7 @@ def artefacts() -> dict[str, bytes]:
 
 
 class Learner:
-    """Announces a run and hears the results."""
+    """Announces a run and receives the results."""
 
     def __init__(self, address: str, artefact: bytes) -> None:
         self.address = address
@@ -114,11 +113,8 @@ class Learner:
 
 
 @pytest.fixture
-def learner(artefact: bytes) -> Iterator[Learner]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    learner = Learner(f"tcp/127.0.0.1:{port}", artefact)
+def learner(artefact: bytes, address: str) -> Iterator[Learner]:
+    learner = Learner(address, artefact)
     learner.open()
     yield learner
     learner.close()

@@ -1,4 +1,4 @@
-"""`evaluate_driver`: the same scores for the same seed, whatever the batch is, for every driver."""
+"""`evaluate_driver`: the same scores for the same seed with any batch size, for every driver."""
 
 import hashlib
 import json
@@ -11,21 +11,22 @@ from pathlib import Path
 import gymnasium
 import pytest
 from athrl_driving.policy import InvalidPolicy, OnnxPolicy
-from athrl_evaluator import CASE_STUDIES, REFERENCE_DRIVERS, Scores, evaluate_driver
-from athrl_evaluator.drivers import GreedyPolicy
-from athrl_evaluator.environments import environment_for, make_batch
-from athrl_evaluator.episodes import drive_episodes
-from athrl_evaluator.policy_files import load_policy
-from athrl_evaluator.recording_drawing import read_frames
+from athrl_evaluator import EvaluationSettings, Scores, evaluate_driver
+from athrl_evaluator.policies.files import load_policy
+from athrl_evaluator.recording.reading import read_frames
+from athrl_evaluator.scoring.drivers import GreedyPolicy
+from athrl_evaluator.scoring.environments import environment_for, make_batch
+from athrl_evaluator.scoring.episodes import drive_episodes
 from athrl_protocol import RunFileError
 from athrl_protocol.run_file import EnvironmentSection
+from athrl_spaces import CASE_STUDIES, REFERENCE_DRIVERS
 
 ENVIRONMENT = EnvironmentSection(vehicles=20, episode_ticks=60)
 
 
-def evaluate(driver: object, **changes: object) -> Scores:
-    arguments = {"environment": ENVIRONMENT, "episodes": 4, "seed": 11} | changes
-    return evaluate_driver(driver, **arguments)  # type: ignore[arg-type]
+def evaluate(driver: object, record: Path | None = None, **changes: object) -> Scores:
+    settings = {"environment": ENVIRONMENT, "episodes": 4, "seed": 11} | changes
+    return evaluate_driver(driver, EvaluationSettings(**settings), record=record)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("driver", REFERENCE_DRIVERS)
@@ -70,7 +71,7 @@ def facts_of(artefact: bytes) -> str:
     return json.dumps({"version": 3, "sha256": hashlib.sha256(artefact).hexdigest()})
 
 
-def test_a_policy_file_is_used_only_if_it_is_the_one_that_its_facts_tell_of(artefact: bytes, tmp_path: Path):
+def test_a_policy_file_is_used_only_if_its_facts_match(artefact: bytes, tmp_path: Path):
     file, facts = tmp_path / "latest.onnx", tmp_path / "latest.json"
     file.write_bytes(artefact)
     facts.write_text(facts_of(artefact))
@@ -85,9 +86,7 @@ def test_a_policy_file_is_used_only_if_it_is_the_one_that_its_facts_tell_of(arte
 
 
 @pytest.mark.parametrize("facts", ["", "[]", "{}", '{"sha256": 3}'])
-def test_a_policy_file_of_which_nothing_is_told_is_taken_as_it_is(
-    artefact: bytes, tmp_path: Path, facts: str
-):
+def test_a_policy_file_without_a_recorded_sha256_is_accepted(artefact: bytes, tmp_path: Path, facts: str):
     file = tmp_path / "latest.onnx"
     file.write_bytes(artefact)
     file.with_suffix(".json").write_text(facts)
@@ -146,7 +145,7 @@ def test_a_case_study_is_the_environment_of_its_id(name: str):
     batch.close()
 
 
-def test_a_case_study_takes_its_vehicles_from_who_names_them():
+def test_a_case_study_takes_explicit_settings_of_the_section():
     batch = make_batch(EnvironmentSection(vehicles=7), 1, case_study="roundabout")
     assert batch.environments[0].config["vehicles_count"] == 7
     assert batch.environments[0].config["episode_ticks"] == 1000
@@ -179,7 +178,7 @@ def test_the_rule_based_driver_beats_random():
 
 def test_the_evaluator_never_imports_torch():
     program = (
-        "import sys, athrl_evaluator, athrl_evaluator.watch, athrl_evaluator.recording_drawing;"
+        "import sys, athrl_evaluator, athrl_evaluator.watching.watch, athrl_evaluator.recording.rerun_file;"
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", program], timeout=120).returncode == 0

@@ -1,20 +1,22 @@
-"""A disk that is full: a result that was driven is not lost for it, and what was asked for is refused."""
+"""A full disk: results are not lost, and recordings that were requested end in an error."""
 
 import json
 import shutil
 import subprocess
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from athrl_evaluator import evaluate_driver
-from athrl_evaluator.drivers import ReferenceDriver
-from athrl_evaluator.environments import make_batch
-from athrl_evaluator.episodes import drive_episodes
+from athrl_evaluator import EvaluationSettings, evaluate_driver
 from athrl_evaluator.errors import EvaluatorError
 from athrl_evaluator.event_files import EventFiles
-from athrl_evaluator.onlookers import Recorder
-from athrl_evaluator.results import ResultsFolder
+from athrl_evaluator.observers import Recorder
+from athrl_evaluator.scoring.drivers import ReferenceDriver
+from athrl_evaluator.scoring.environments import make_batch
+from athrl_evaluator.scoring.episodes import drive_episodes
+from athrl_evaluator.scoring.results import ResultsFolder
+from athrl_evaluator.video import Shot, film
 from athrl_protocol import EvaluationResult
 from athrl_protocol.run_file import EnvironmentSection
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -45,9 +47,17 @@ def fill(disk: Path) -> Path:
 
 def test_recordings_that_were_asked_for_and_do_not_fit_end_the_evaluation_and_leave_no_half_file(small_disk):
     fill(small_disk)
+    settings = EvaluationSettings(episodes=2, seed=1, environment=ENVIRONMENT)
     with pytest.raises(EvaluatorError, match=r"^cannot write .*/rule-based-seed-\d\.mcap: No space left"):
-        evaluate_driver("rule-based", environment=ENVIRONMENT, episodes=2, seed=1, record=small_disk)
+        evaluate_driver("rule-based", settings, record=small_disk)
     assert not list(small_disk.glob("*.mcap*"))
+
+
+def test_a_video_that_does_not_fit_leaves_no_half_file(small_disk):
+    ballast = fill(small_disk)
+    with pytest.raises(EvaluatorError, match=r"^cannot write .*/a.mp4: .*No space left"):
+        film("blind", Shot("town02", 100, 1, 2.0, (64, 64)), small_disk / "a.mp4", threading.Event())
+    assert list(small_disk.iterdir()) == [ballast]
 
 
 def test_a_run_is_scored_though_its_recordings_do_not_fit(small_disk, caplog):
@@ -60,7 +70,7 @@ def test_a_run_is_scored_though_its_recordings_do_not_fit(small_disk, caplog):
     assert not list(small_disk.glob("*.mcap*"))
 
 
-def test_curves_have_a_hole_where_the_disk_was_full_and_go_on_behind_it(small_disk, caplog):
+def test_curves_have_a_gap_where_the_disk_was_full_and_continue_after_it(small_disk, caplog):
     files = EventFiles(small_disk / "tensorboard")
     ballast = fill(small_disk)
     (small_disk / "rest").write_bytes(bytes(shutil.disk_usage(small_disk).free))
@@ -73,6 +83,17 @@ def test_curves_have_a_hole_where_the_disk_was_full_and_go_on_behind_it(small_di
     read.Reload()
     points = [(point.step, point.value) for point in read.Scalars("learner/loss")]
     assert points == [(100, 7.0)]
+
+
+def test_a_full_disk_is_one_line_a_minute_whatever_does_not_fit(small_disk, caplog):
+    folder = ResultsFolder(small_disk, "run")
+    files = EventFiles(folder.tensorboard, folder.warn)
+    fill(small_disk)
+    (small_disk / "rest").write_bytes(bytes(shutil.disk_usage(small_disk).free))
+    for step in range(20):
+        files.add("learner", {"loss": float(step)}, step, 1.0)
+        folder.add(EvaluationResult("policy", step, 100, "town03", 1, {"note": "x" * 5000}))
+    assert caplog.text.count("cannot write") == 1
 
 
 def test_a_folder_of_results_that_cannot_be_made_is_named(tmp_path: Path):

@@ -1,6 +1,7 @@
 """Policies of every kind of action are scored, recorded, forced and watched through the same functions."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,14 +9,14 @@ import numpy as np
 import pytest
 import rerun as rr
 from athrl_driving.policy import OnnxPolicy
-from athrl_evaluator import evaluate_driver
-from athrl_evaluator.drivers import GreedyPolicy, ReferenceDriver
-from athrl_evaluator.environments import Environments, make_batch, town_labels
-from athrl_evaluator.episodes import EpisodeStep, Onlooker, drive_episodes
+from athrl_evaluator import EvaluationSettings, evaluate_driver
 from athrl_evaluator.errors import EvaluatorError
-from athrl_evaluator.forcing import CannotForce, read_forced
-from athrl_evaluator.recording_drawing import read_frames
-from athrl_evaluator.watch_policy import LiveDrawing, watch_policy
+from athrl_evaluator.recording.reading import read_frames
+from athrl_evaluator.scoring.drivers import GreedyPolicy, ReferenceDriver
+from athrl_evaluator.scoring.environments import Environments, make_batch, town_labels
+from athrl_evaluator.scoring.episodes import EpisodeObserver, EpisodeStep, drive_episodes
+from athrl_evaluator.scoring.forced_decisions import CannotForce, read_forced
+from athrl_evaluator.watching.watch_policy import LiveDrawing, watch_policy
 from athrl_protocol import Frame
 from athrl_protocol.run_file import EnvironmentSection
 
@@ -27,8 +28,8 @@ DECIDED = {
 }
 
 
-class Kept(Onlooker):
-    """Keeps what was decided."""
+class Kept(EpisodeObserver):
+    """Stores the decisions."""
 
     def __init__(self) -> None:
         self.decisions: list[dict[str, float]] = []
@@ -43,9 +44,9 @@ def test_policy_of_every_kind_is_scored_alike_in_any_batch_and_its_decisions_are
 ) -> None:
     file = tmp_path / f"{kind}.onnx"
     file.write_bytes(artefacts[kind])
-    settings: dict[str, Any] = {"environment": ENVIRONMENT, "episodes": 3, "seed": 4}
-    scores = evaluate_driver(file, **settings, record=tmp_path)
-    assert scores == evaluate_driver(file, **settings, batch=1)
+    settings = EvaluationSettings(episodes=3, seed=4, environment=ENVIRONMENT)
+    scores = evaluate_driver(file, settings, record=tmp_path)
+    assert scores == evaluate_driver(file, replace(settings, batch=1))
     frames = list(read_frames(tmp_path / f"{kind}-seed-4.mcap"))
     assert frames
     for frame in frames:
@@ -54,11 +55,13 @@ def test_policy_of_every_kind_is_scored_alike_in_any_batch_and_its_decisions_are
 
 def test_scores_in_several_towns_are_of_the_episodes_in_each(artefacts: dict[str, bytes], tmp_path: Path):
     policy = OnnxPolicy(artefacts["hddpg"])
-    settings: dict[str, Any] = {"episodes": 2, "seed": 4}
+    settings = EvaluationSettings(episodes=2, seed=4)
     here, there = (ENVIRONMENT.model_copy(update={"towns": {town: 1.0}}) for town in ("town02", "town03"))
     both = ENVIRONMENT.model_copy(update={"towns": {"town02": 1.0, "town03": 3.0}})
-    returns = [evaluate_driver(policy, environment=one, **settings).return_mean for one in (here, there)]
-    scores = evaluate_driver(policy, environment=both, **settings, record=tmp_path)
+    returns = [
+        evaluate_driver(policy, replace(settings, environment=one)).return_mean for one in (here, there)
+    ]
+    scores = evaluate_driver(policy, replace(settings, environment=both), record=tmp_path)
     assert scores.episodes == 4
     assert scores.return_mean == pytest.approx(np.mean(returns))
     assert sorted(path.name for path in tmp_path.iterdir()) == [
@@ -68,7 +71,7 @@ def test_scores_in_several_towns_are_of_the_episodes_in_each(artefacts: dict[str
     assert frame.town == "town02"
 
 
-def test_towns_with_the_same_file_name_are_told_apart():
+def test_towns_with_the_same_file_name_get_different_labels():
     towns = ["town03", "a/mine.xodr", "b/mine.xodr"]
     assert list(town_labels(towns).values()) == ["town03", "mine", "mine-2"]
 
@@ -124,15 +127,16 @@ def test_what_cannot_be_forced_is_named_with_what_can(
 
 
 def test_forcing_twice_or_a_driver_that_is_no_policy_is_refused(artefact: bytes):
+    twice = EvaluationSettings(episodes=2, seed=1, forced=["intention=0", "intention=1"])
     with pytest.raises(CannotForce, match="intention is forced twice"):
-        evaluate_driver(OnnxPolicy(artefact), forced=["intention=0", "intention=1"], episodes=2, seed=1)
+        evaluate_driver(OnnxPolicy(artefact), twice)
     with pytest.raises(EvaluatorError, match="--force intention=0: blind is no policy"):
-        evaluate_driver("blind", forced=["intention=0"], episodes=2, seed=1)
+        evaluate_driver("blind", replace(twice, forced=["intention=0"]))
 
 
 @pytest.fixture
 def captions(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What stands below the pictures that are drawn."""
+    """The captions of the frames that are drawn."""
     written: list[str] = []
     document = rr.TextDocument
 
@@ -177,7 +181,7 @@ def test_watching_that_is_stopped_ends_in_the_middle_of_an_episode(tmp_path: Pat
     watch_policy("blind", environment=ENVIRONMENT, episodes=None, save=tmp_path / "seen.rrd", stop=stop)
 
 
-def test_frames_are_drawn_when_their_time_has_come_and_late_ones_at_once(monkeypatch: pytest.MonkeyPatch):
+def test_frames_are_drawn_at_their_time_and_late_ones_immediately(monkeypatch: pytest.MonkeyPatch):
     now, drawn = [100.0], list[float]()
 
     class Canvas:
@@ -189,14 +193,14 @@ def test_frames_are_drawn_when_their_time_has_come_and_late_ones_at_once(monkeyp
         now[0] += seconds
 
     late = [0.0, 3.0]  # the second frame takes three seconds to draw
-    monkeypatch.setattr("athrl_evaluator.watch_policy.time.sleep", sleep)
+    monkeypatch.setattr("athrl_evaluator.watching.watch_policy.time.sleep", sleep)
     driver, batch = ReferenceDriver("blind", 1), make_batch(ENVIRONMENT, 1)
-    looking = LiveDrawing(driver, Canvas(), lambda: False, clock=lambda: now[0])  # type: ignore[arg-type]
-    drive_episodes(driver, batch, [1], [looking])
+    drawing = LiveDrawing(driver, Canvas(), lambda: False, clock=lambda: now[0])  # type: ignore[arg-type]
+    drive_episodes(driver, batch, [1], [drawing])
     batch.close()
     gaps = np.diff(drawn)
     np.testing.assert_allclose(gaps[0], 0.4, atol=1e-6)
     assert gaps[1] == pytest.approx(3.0)
-    # A second of what was lost is caught up, and then one decision comes every 0.4 s again.
+    # One second of the delay is caught up, and then one decision follows every 0.4 s again.
     assert gaps[2] == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(gaps[-2:], 0.4, atol=1e-6)

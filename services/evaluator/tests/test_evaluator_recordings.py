@@ -1,4 +1,4 @@
-"""Recordings: self-describing, whole or marked as not, pruned, and drawn as a rerun file."""
+"""Recordings are self-describing, complete or marked as unfinished, pruned, and converted to rerun files."""
 
 import os
 import subprocess
@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun_cli
-from athrl_evaluator.drivers import ReferenceDriver
-from athrl_evaluator.environments import make_batch
-from athrl_evaluator.episodes import drive_episodes
-from athrl_evaluator.onlookers import Recorder
-from athrl_evaluator.recording_drawing import InvalidRecording, draw_recording, read_frames
-from athrl_evaluator.recordings import EpisodeRecording, prune_recordings
+from athrl_evaluator.observers import Recorder
+from athrl_evaluator.recording.reading import InvalidRecording, read_frames
+from athrl_evaluator.recording.recordings import EpisodeRecording, prune_recordings
+from athrl_evaluator.recording.rerun_file import draw_recording
+from athrl_evaluator.scoring.drivers import ReferenceDriver
+from athrl_evaluator.scoring.environments import make_batch
+from athrl_evaluator.scoring.episodes import drive_episodes
 from athrl_protocol import Frame
 from athrl_protocol.run_file import EnvironmentSection
 from mcap.reader import make_reader
@@ -43,7 +44,9 @@ def test_any_mcap_reader_can_read_it_without_our_schema(recorded: tuple[Path, li
     by_topic: dict[str, list] = {}
     for schema, channel, _, message in messages:
         by_topic.setdefault(channel.topic, []).append((schema.name, message))
-    assert set(by_topic) == {"/frame", "/birdeye", "/lidar", "/ego", "/vehicles", "/route", "/waypoint"}
+    assert set(by_topic) == {
+        *("/frame", "/action", "/birdeye", "/lidar", "/ego", "/vehicles", "/route", "/waypoint")
+    }
     assert {name for name, _ in by_topic["/birdeye"]} == {"foxglove.RawImage"}
     assert {name for name, _ in by_topic["/vehicles"]} == {"foxglove.PosesInFrame"}
     frames = [message for _, message in by_topic["/frame"]]
@@ -84,18 +87,19 @@ def test_a_file_cut_off_before_its_first_frame_says_so(
         list(read_frames(cut))
 
 
-def test_a_recording_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    with pytest.raises(InvalidRecording, match=r"is not a recorded episode: it is a folder$"):
+def test_a_recording_that_cannot_be_read_is_named(tmp_path: Path):
+    with pytest.raises(
+        InvalidRecording, match=r"is not a recorded episode: it is a folder, should be a file$"
+    ):
         list(read_frames(tmp_path))
 
-    def refuse(path: Path, mode: str) -> None:  # the tests' user may be one who may read everything
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "open", refuse)
-    file = tmp_path / "secret.mcap"
-    file.touch()
-    with pytest.raises(InvalidRecording, match=r"^cannot read .*secret\.mcap: permission denied$"):
-        list(read_frames(file))
+    with pytest.raises(
+        InvalidRecording, match=r"gone\.mcap is not a recorded episode: it cannot be read: no such"
+    ):
+        list(read_frames(tmp_path / "gone.mcap"))
+    os.mkfifo(tmp_path / "pipe.mcap")
+    with pytest.raises(InvalidRecording, match="it is a pipe, socket or device, should be a file"):
+        list(read_frames(tmp_path / "pipe.mcap"))
 
 
 def test_an_episode_that_is_given_up_leaves_no_file(tmp_path: Path):
@@ -106,7 +110,7 @@ def test_an_episode_that_is_given_up_leaves_no_file(tmp_path: Path):
     assert os.listdir(tmp_path) == []
 
 
-def test_the_oldest_recordings_go(tmp_path: Path):
+def test_the_oldest_recordings_are_removed(tmp_path: Path):
     for number in range(6):
         file = tmp_path / f"{number}.mcap"
         file.write_bytes(b"")

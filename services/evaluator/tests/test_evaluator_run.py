@@ -3,6 +3,7 @@
 import json
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ from typing import Any
 import pytest
 from athrl_driving.policy import EnvironmentBatch, EnvironmentFailure
 from athrl_evaluator import run_evaluator
-from athrl_evaluator.recording_drawing import read_frames
+from athrl_evaluator.recording.reading import read_frames
 from athrl_protocol import Phase, subscribe_frames
+from athrl_spaces import REFERENCE_DRIVERS
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 JOIN_SECONDS = 60
@@ -116,7 +118,7 @@ def test_the_comparison_waits_for_the_runs_last_policy(learner, start: Start, tm
     assert json.loads((tmp_path / "test" / "evaluation.json").read_text())["policy_version"] == 8
 
 
-def test_everybodys_metrics_and_the_scores_are_in_tensorboard(learner, start: Start, tmp_path: Path):
+def test_all_services_metrics_and_the_scores_are_in_tensorboard(learner, start: Start, tmp_path: Path):
     learner.announce(Phase.TRAINING, 3)
     learner.publish(3)
     service = start()
@@ -135,7 +137,48 @@ def test_everybodys_metrics_and_the_scores_are_in_tensorboard(learner, start: St
     assert [event.step for event in returns] == [300, 400]
 
 
-def test_an_invalid_policy_is_passed_over(learner, start: Start):
+def test_curves_of_a_resumed_run_wait_until_it_is_known_how_far_it_is(learner, start: Start, tmp_path: Path):
+    learner.publish(0)
+    service = start()
+    learner.wait_for_result(0)  # so it listens
+    learner.metrics.publish({"updates": 29.0})
+    learner.announce(Phase.TRAINING, 3)
+    learner.metrics.publish({"updates": 30.0})
+    learner.publish(4)
+    learner.wait_for_result(4)
+    learner.metrics.publish({"updates": 31.0})  # now the state is known for certain
+    events = EventAccumulator(str(tmp_path / "test" / "tensorboard"))
+    tag, points, deadline = "learner/learner/updates", [], time.monotonic() + 60
+    while (300, 31.0) not in points:
+        assert time.monotonic() < deadline, points
+        time.sleep(0.1)
+        if tag in events.Reload().Tags()["scalars"]:
+            points = [(event.step, event.value) for event in events.Scalars(tag)]
+    service.stop.set()
+    service.join()
+    # Of those before, some may have waited for the state in vain.
+    assert points == [(300, 29.0), (300, 30.0), (300, 31.0)][-len(points) :]
+    events.Reload()
+    own = [tag for tag in events.Tags()["scalars"] if tag.startswith("evaluator/")]
+    assert own
+    assert all(event.step == 300 for tag in own for event in events.Scalars(tag))
+
+
+def test_a_finished_run_is_compared_once(learner, start: Start, tmp_path: Path):
+    learner.publish(7)
+    learner.announce(Phase.FINISHED, 7)
+    start().join()
+    comparison = tmp_path / "test" / "evaluation.json"
+    written = comparison.stat().st_mtime_ns
+    start().join()
+    assert comparison.stat().st_mtime_ns == written
+    learner.announce(Phase.FINISHED, 8)  # it was made longer
+    learner.publish(8)
+    start().join()
+    assert json.loads(comparison.read_text())["environment_steps"] == 800
+
+
+def test_an_invalid_policy_is_skipped(learner, start: Start):
     learner.publish(1, artefact=b"no policy")
     service = start()
     learner.publish(2)
@@ -167,7 +210,7 @@ def test_the_evaluator_can_be_stopped_while_the_learner_is_away(learner, start: 
     service.join()
 
 
-def test_the_first_episode_is_shown_to_whoever_watches(learner, start: Start):
+def test_the_first_episode_is_shown_to_viewers(learner, start: Start):
     learner.publish(5)
     start()
     learner.wait_for_result(5)
@@ -235,7 +278,10 @@ def test_run_in_several_towns_is_scored_as_a_whole_and_in_each_of_them(learner, 
     assert (over_all["episodes"], by_town["town02"]["policy"]["episodes"]) == (4, 2)
     means = [drivers["policy"]["return_mean"] for drivers in by_town.values()]
     assert over_all["return_mean"] == pytest.approx(sum(means) / 2)
-    assert learner.wait_for(lambda: len(learner.results) == 4)
+    # The policy may have been scored once before the evaluator heard that the run is finished.
+    assert learner.wait_for(
+        lambda: {result.driver for result in learner.results} == {"policy", *REFERENCE_DRIVERS}
+    )
     told = {result.driver: result for result in learner.results}["policy"].scores
     assert told["return_mean"] == over_all["return_mean"]
     assert told["town02/return_mean"] == by_town["town02"]["policy"]["return_mean"]

@@ -1,9 +1,12 @@
-"""Scores are what their names say."""
+"""Scores are what their names mean."""
+
+from dataclasses import fields
 
 import numpy as np
 import pytest
 from athrl_evaluator import EpisodeResult
-from athrl_evaluator.scores import score, student_quantile
+from athrl_evaluator.scoring.scores import Scores, score, student_quantile
+from athrl_protocol.monitoring.table import SCORES
 
 
 def episode(episode_return: float, **changes: object) -> EpisodeResult:
@@ -58,6 +61,11 @@ def test_the_interval_holds_the_true_mean_in_95_of_100_cases():
 )
 def test_students_quantiles_are_those_of_the_tables(degrees: int, value: float):
     assert student_quantile(degrees) == pytest.approx(value, abs=1e-3)
+
+
+def test_every_score_is_in_the_table_of_metrics():
+    names = [metric.name for group in SCORES for metric in group.metrics]
+    assert names == [field.name for field in fields(Scores)]
 
 
 def test_one_episode_has_no_interval():

@@ -1,4 +1,4 @@
-"""Takes experience in, trains, publishes policies and writes checkpoints."""
+"""Receives experience, trains, publishes policies and writes checkpoints."""
 
 from athrl_learner.errors import (
     CannotResume,
@@ -8,8 +8,8 @@ from athrl_learner.errors import (
     RunFolderInUse,
     RunFolderTaken,
 )
-from athrl_learner.limiter import SamplesPerInsert
-from athrl_learner.run import Summary, run_learner
+from athrl_learner.intake.limiter import SamplesPerInsert
+from athrl_learner.run import Summary, check_run, run_learner
 
 __all__ = [
     "CannotResume",
@@ -20,5 +20,6 @@ __all__ = [
     "RunFolderTaken",
     "SamplesPerInsert",
     "Summary",
+    "check_run",
     "run_learner",
 ]

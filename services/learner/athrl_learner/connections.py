@@ -1,4 +1,4 @@
-"""What ties a learner to the others of its run: everything that needs the network."""
+"""The learner's connections to the other services of its run: everything that needs the network."""
 
 from __future__ import annotations
 
@@ -11,51 +11,77 @@ from athrl_protocol import (
     EvaluationResult,
     EvaluationSubscriber,
     MetricsPublisher,
+    MetricsSubscriber,
+    PolicyPublisher,
     PresenceWatcher,
+    RivalWatch,
     RunFile,
     StatePublisher,
 )
-from athrl_protocol.limits import largest_chunk_of
+from athrl_protocol.announcements.answers import FreeNames
+from athrl_protocol.security.certificates import find_certificates, read_bound_names
+from athrl_protocol.transport.size_filter import largest_chunk_of
 
-from athrl_learner.figures import Figures
-from athrl_learner.parts import Parts
-from athrl_learner.reporting import Reporter
-from athrl_learner.segments import IntervalSync
+from athrl_learner.components import Components
+from athrl_learner.log import IntervalSync
+from athrl_learner.reporting.exposition import Exposition
+from athrl_learner.reporting.metrics import LearnerMetrics
+from athrl_learner.reporting.progress import ProgressLog
+from athrl_learner.reporting.reporter import Reporter
 
-#: The learner's role, and its name: there is one in a run.
+#: The learner's role and name: a run has one learner.
 NAME = "learner"
 
 
 @dataclass(frozen=True)
 class Connections:
-    """By what a learner hears the others, and they it."""
+    """How a learner and the other services communicate."""
 
     intake: ChunkIntake
     presence: PresenceWatcher
     reporter: Reporter
+    progress: ProgressLog
 
 
 def connect(
-    stack: contextlib.ExitStack, session: zenoh.Session, run_file: RunFile, parts: Parts
+    stack: contextlib.ExitStack,
+    session: zenoh.Session,
+    run_file: RunFile,
+    components: Components,
+    policies: PolicyPublisher,
+    exposition: Exposition,
 ) -> Connections:
-    """Take chunks in from now on, hear the evaluators and report; all of it ends with `stack`."""
+    """Start to receive chunks and scores and to report; all of it ends with `stack`."""
     run = run_file.run.name
     if run_file.durability.fsync == "interval":
-        stack.enter_context(IntervalSync(parts.store.log, run_file.durability.fsync_seconds))
-    chunks = ChunkIntake(session, run, parts.store, parts.ledger, largest_chunk_of(run_file))
+        stack.enter_context(IntervalSync(components.store.log, run_file.durability.fsync_seconds))
+    chunks = ChunkIntake(session, run, components.store, components.ledger, largest_chunk_of(run_file))
     intake = stack.enter_context(chunks)
     presence = stack.enter_context(PresenceWatcher(session, run))
+    shown = find_certificates(run_file.network.certificates, NAME)
+    bound = read_bound_names(shown) if shown is not None else ()
+    stack.enter_context(FreeNames(session, run, "actor", presence, bound))
 
-    def heard(result: EvaluationResult) -> None:
+    progress = ProgressLog()
+
+    def add_score(result: EvaluationResult) -> None:
+        progress.add(result)
+        exposition.scores.take(result)
         if result.driver == "policy" and "return_mean" in result.scores:
-            parts.best.heard(result.policy_version, result.scores["return_mean"])
+            components.best.add_score(result.policy_version, result.scores["return_mean"])
 
-    stack.enter_context(EvaluationSubscriber(session, run, heard))
+    stack.enter_context(EvaluationSubscriber(session, run, add_score))
+    states = stack.enter_context(StatePublisher(session, run))
     reporter = Reporter(
-        stack.enter_context(StatePublisher(session, run)),
+        states,
         stack.enter_context(MetricsPublisher(session, run, NAME, NAME)),
-        Figures(parts),
+        LearnerMetrics(components),
         intake,
         presence,
+        stack.enter_context(RivalWatch(session, run, policies, states)),
+        progress,
+        exposition.learner.show,
     )
-    return Connections(intake, presence, reporter)
+    if run_file.metrics.listen:  # a thousand actors report a thousand times a second
+        stack.enter_context(MetricsSubscriber(session, run, exposition.actors.take, role="actor"))
+    return Connections(intake, presence, reporter, progress)

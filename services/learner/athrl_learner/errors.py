@@ -1,4 +1,4 @@
-"""What can go wrong at the learner, in lines that tell the user what to do."""
+"""The learner's errors, in lines that tell the user what to do."""
 
 
 class LearnerError(Exception):
@@ -6,34 +6,34 @@ class LearnerError(Exception):
 
 
 class RunFolderTaken(LearnerError):  # noqa: N818 - the names say what happened, as in the protocol
-    """A new run was to be written where another run already is."""
+    """The folder for a new run already holds another run."""
 
 
 class RunFolderInUse(LearnerError):  # noqa: N818
-    """Another learner writes this run's folder at this moment."""
+    """Another learner is writing this run's folder."""
 
 
 class NoSuchDevice(LearnerError):  # noqa: N818
-    """Training was to happen on a device that this machine has not."""
+    """Training was to run on a device that this machine does not have."""
 
 
 class WrongPlanner(LearnerError):  # noqa: N818
-    """There is no planner like the one that the run file describes."""
+    """No planner matches the description in the run file."""
 
 
 class TooLittleMemory(LearnerError):  # noqa: N818
-    """The replay is to be larger than what this machine gives."""
+    """The replay needs more memory than this machine has."""
 
 
 class CannotResume(LearnerError):  # noqa: N818
-    """The folder holds nothing that a run could go on from."""
+    """The folder holds nothing that a run could be resumed from."""
 
 
 class SettingsDoNotFit(CannotResume):
-    """Checkpoint or log were made with other settings.
+    """A checkpoint or log was made with other settings.
 
     Attributes:
-        what: does not fit.
+        what: the checkpoint or the log.
     """
 
     def __init__(self, what: str, reason: str) -> None:
@@ -46,20 +46,24 @@ class CheckpointFailed(LearnerError):  # noqa: N818
 
 
 class DamagedCheckpoint(LearnerError):  # noqa: N818
-    """A checkpoint is not what its manifest says; the message names the file."""
+    """A checkpoint differs from its manifest; the message names the file."""
+
+
+class SegmentsMissing(DamagedCheckpoint):
+    """The log has none of the segments that hold a checkpoint's replay."""
 
 
 class DiskFull(LearnerError):  # noqa: N818
-    """There is no room to write down what would be acknowledged; it is tried again."""
+    """The disk has no space for a chunk to be acknowledged; it will be tried again."""
 
 
 class LogFailed(LearnerError):  # noqa: N818
-    """The log of experience cannot be written, so nothing may be acknowledged any more."""
+    """The log of experience cannot be written, so no chunk may be acknowledged any more."""
 
 
 class Diverged(LearnerError):  # noqa: N818
-    """Training met a number that is not finite; the last checkpoint is from before that."""
+    """A number in training is not finite; the last checkpoint was written before that."""
 
 
 class Deadlock(LearnerError):  # noqa: N818
-    """Actors and learner wait for each other, which the limiter rules out."""
+    """Actors and learner wait for each other, which the limiter should prevent."""

@@ -1,7 +1,7 @@
-"""The operations on a disk that log and checkpoints consist of.
+"""The disk operations that log and checkpoints use for writing.
 
-They go through here and nowhere else, so that a test can let each of them fail, or be the last one before
-the process dies. Reading is not among them: it changes nothing.
+All of them go through this module, so that a test can let each one fail, or end the process after it.
+Reading is not included: it changes nothing.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import os
 import shutil
 from pathlib import Path
 
-#: What a disk without room answers: no space, or this user's share of it used up.
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
+#: Errors of a full disk: no space, or the user's quota is used up.
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 class WritableFile:
-    """A file that grows at its end; unbuffered, so that what was written survives the process."""
+    """An append-only file; unbuffered, so that what was written survives the process."""
 
     def __init__(self, path: Path) -> None:
         """Create the file at `path`, empty; raises OSError."""
@@ -26,17 +26,17 @@ class WritableFile:
         )
 
     def write(self, content: bytes | memoryview) -> None:
-        """Append all of `content`; raises OSError, when a part of it may be there."""
+        """Append all of `content`; raises OSError, and then a part of it may have been written."""
         rest = memoryview(content)
         while rest:
             rest = rest[os.write(self._descriptor, rest) :]
 
-    def cut(self, size: int) -> None:
+    def truncate(self, size: int) -> None:
         """Keep the first `size` bytes; raises OSError."""
         os.ftruncate(self._descriptor, size)
 
     def sync(self) -> None:
-        """Return when the disk has everything; raises OSError."""
+        """Sync the file to the disk; raises OSError."""
         os.fsync(self._descriptor)
 
     def close(self) -> None:
@@ -53,8 +53,8 @@ class Files:
         """Create or replace the file at `path`."""
         return WritableFile(path)
 
-    def cut(self, path: Path, size: int) -> None:
-        """Keep the first `size` bytes of a file, and bring that to the disk."""
+    def truncate(self, path: Path, size: int) -> None:
+        """Keep the first `size` bytes of a file, and sync that to the disk."""
         descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC)
         try:
             os.ftruncate(descriptor, size)
@@ -63,23 +63,23 @@ class Files:
             os.close(descriptor)
 
     def make_folder(self, path: Path) -> None:
-        """Make a folder, and those around it, where they are missing."""
+        """Make a folder and its parents if they are missing."""
         path.mkdir(parents=True, exist_ok=True)
 
     def rename(self, old: Path, new: Path) -> None:
-        """Give a file or folder another name; a file that had it is replaced."""
+        """Rename a file or folder; an existing file of the new name is replaced."""
         old.replace(new)
 
     def remove(self, path: Path) -> None:
-        """Remove a file; one that is not there is no error."""
+        """Remove a file; a missing one is no error."""
         path.unlink(missing_ok=True)
 
     def remove_folder(self, path: Path) -> None:
-        """Remove a folder with what is in it, as far as possible."""
+        """Remove a folder with its contents, as far as possible."""
         shutil.rmtree(path, ignore_errors=True)
 
     def sync_folder(self, path: Path) -> None:
-        """Return when the disk has the folder's list of names."""
+        """Sync the folder's list of names to the disk."""
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
             os.fsync(descriptor)
@@ -87,16 +87,16 @@ class Files:
             os.close(descriptor)
 
     def free_bytes(self, path: Path) -> int:
-        """Room that is left on the disk of `path` for this user."""
+        """Free space for this user on the disk of `path`, in bytes."""
         facts = os.statvfs(path)
         return facts.f_bavail * facts.f_frsize
 
 
 def write_whole(files: Files, path: Path, content: bytes) -> None:
-    """Write a file beside `path`, bring it to the disk and rename it: readers see the old or the new.
+    """Write another file, sync it to the disk and rename it to `path`: readers see the old or the new file.
 
     Raises:
-        OSError: the disk refuses; `path` is as it was.
+        OSError: the disk reports an error; `path` is unchanged.
     """
     part = path.with_name(path.name + ".part")
     try:

@@ -1,4 +1,4 @@
-"""The planners' settings, to which a run file's section `[planner]` is held before anything begins."""
+"""The planners' settings, against which the section `[planner]` of a run file is checked first."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from athrl_learner.errors import WrongPlanner
 
 
-def know_planners() -> None:
-    """Declare the settings of every planner that is installed; once more changes nothing.
+def declare_installed_planners() -> None:
+    """Declare the settings of every installed planner; may be called again.
 
     Raises:
         WrongPlanner: an installed package names a planner that cannot be loaded.
@@ -23,13 +23,13 @@ def know_planners() -> None:
         raise WrongPlanner(str(error)) from None
 
 
-def held_to_planners(run_file: RunFile) -> RunFile:
-    """The run file with every setting of its planner, though it was read where no planner was known.
+def with_planner_settings(run_file: RunFile) -> RunFile:
+    """The run file with every setting of its planner, even if it was read without known planners.
 
     Raises:
-        WrongPlanner: there is no such planner, or it has no such setting, or a value is wrong.
+        WrongPlanner: there is no such planner, or it has no such setting, or a value is not valid.
     """
-    know_planners()
+    declare_installed_planners()
     values = {"kind": run_file.planner.kind, **run_file.planner.values()}
     try:
         return run_file.model_copy(update={"planner": PlannerSection.model_validate(values)})
@@ -38,7 +38,7 @@ def held_to_planners(run_file: RunFile) -> RunFile:
 
 
 def _one_line(error: ValidationError) -> str:
-    """The first of the mistakes, by the setting's name."""
+    """The first error, with the name of its setting."""
     first = error.errors(include_url=False)[0]
     said = first["msg"].removeprefix("Value error, ")
     if not first["loc"]:

@@ -1,21 +1,20 @@
-"""When policies are published, under which version, and with how much noise."""
+"""Publication of policies: when, with which version, and with how much noise."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from athrl_planners import PolicyExporter
 from athrl_protocol import PolicyUpdate
+from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_json
 
-from athrl_learner.arrivals import Arrivals
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.log import count_of
 from athrl_learner.run_folder import RunFolder, write_atomically
-
-log = logging.getLogger(__name__)
 
 
 def annealed_noise(environment_steps: int, target: int, final_scale: float) -> float:
@@ -24,24 +23,24 @@ def annealed_noise(environment_steps: int, target: int, final_scale: float) -> f
 
 
 def recorded_version(facts: Path) -> int:
-    """The newest version that ever was published according to `policies/latest.json`; -1 if unknown.
+    """The newest version that was published according to `policies/latest.json`; -1 if unknown.
 
-    A learner that was killed goes on from a checkpoint older than its last publication. Its versions must
-    not repeat those that actors already have, or they would take the new policies for old ones.
+    A learner that was killed resumes from a checkpoint older than its last publication. It must not repeat
+    versions that actors already have, or they would consider the new policies old.
     """
     try:
-        version = json.loads(facts.read_bytes())["version"]
-    except (OSError, ValueError, KeyError, TypeError):
+        with parser_errors(UntrustedFile):
+            return count_of(read_json(facts)["version"])
+    except UntrustedFile:
         return -1
-    return version if isinstance(version, int) else -1
 
 
 class Publication:
-    """Publishes the averaged actors: `hand_out` brings them to the run; also as `policies/latest.onnx`."""
+    """Publishes the averaged networks: `deliver` sends them; also written as `policies/latest.onnx`."""
 
     def __init__(
         self,
-        hand_out: Callable[[PolicyUpdate], object],
+        deliver: Callable[[PolicyUpdate], object],
         exporter: PolicyExporter,
         folder: RunFolder,
         arrivals: Arrivals,
@@ -49,32 +48,35 @@ class Publication:
         seconds: float,
         final_noise_scale: float,
         environment_steps_target: int,
+        warn: Callable[[str], object],
     ) -> None:
-        self.version = -1  # the newest published
-        self.noise_scale = 1.0  # that went with it
-        self._hand_out = hand_out
+        """`warn` is called with a text when the policy's files cannot be written."""
+        self.version = -1  # of the newest published policy
+        self.noise_scale = 1.0  # of that policy
+        self._deliver = deliver
         self._exporter = exporter
         self._folder = folder
         self._arrivals = arrivals
         self._seconds = seconds
         self._final_noise_scale = final_noise_scale
         self._target = environment_steps_target
+        self._warn = warn
         self._published_at = -seconds
         self._published_updates = -1
 
-    def go_on(self, version: int) -> None:
-        """Take `version` for the newest that was published: the next one is above it."""
+    def resume_from(self, version: int) -> None:
+        """Set the newest published version; the next one is above it."""
         self.version = version
         self._arrivals.published_version = version
 
     def due(self, updates: int) -> bool:
-        """Whether there was an update since the last publication, and enough time."""
+        """Whether there was an update and enough time since the last publication."""
         return updates != self._published_updates and time.monotonic() - self._published_at >= self._seconds
 
     def publish(self, *, updates: int, environment_steps: int, uniform_exploration: bool) -> None:
-        """Publish the weights as they are now under the next version.
+        """Publish the current weights with the next version.
 
-        The files are written first: a version that an actor has is never unknown to the run's folder.
+        The files are written first, so the run's folder knows every version that an actor has.
         """
         update = PolicyUpdate(
             version=self.version + 1,
@@ -86,9 +88,9 @@ class Publication:
             published_at=time.time(),
         )
         self._write_files(update)
-        self._hand_out(update)
+        self._arrivals.published(update.version)  # before an actor can have it
+        self._deliver(update)
         self.version, self.noise_scale = update.version, update.noise_scale
-        self._arrivals.published(update.version)
         self._published_at = time.monotonic()
         self._published_updates = updates
 
@@ -103,4 +105,4 @@ class Publication:
             write_atomically(self._folder.latest_policy_facts, json.dumps(facts, indent=1).encode())
             write_atomically(self._folder.latest_policy, update.artefact)
         except OSError as error:
-            log.warning("cannot write %s: %s", self._folder.latest_policy, error.strerror)
+            self._warn(f"cannot write {self._folder.latest_policy}: {error.strerror}")

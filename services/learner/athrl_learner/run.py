@@ -1,4 +1,4 @@
-"""`run_learner`: one run of the learner, from its folder's lock to its summary."""
+"""`run_learner`: one run of the learner, from locking its folder to its summary."""
 
 from __future__ import annotations
 
@@ -13,28 +13,34 @@ from pathlib import Path
 
 from athrl_protocol import (
     PolicyPublisher,
+    PolicyUpdate,
     RunFile,
     announce_presence,
     complete_address,
     open_session,
     read_run_file,
     serve_run_file,
-    to_toml,
 )
-from athrl_protocol.certificates import find_certificates
-from athrl_protocol.limits import largest_chunk_of
+from athrl_protocol.announcements.address_file import address_announced, address_at
+from athrl_protocol.announcements.answers import serve_changes
+from athrl_protocol.run_file import with_whole_maps
+from athrl_protocol.security.certificates import find_certificates
+from athrl_protocol.transport.address import is_loopback, split_address
+from athrl_protocol.transport.size_filter import largest_chunk_of
 
+from athrl_learner.checkpoint.resume import checkpoint_to_resume
+from athrl_learner.checkpoint.snapshot import saved_version
+from athrl_learner.components import check_memory, make_components
 from athrl_learner.connections import NAME, connect
-from athrl_learner.device import log_device, training_device
 from athrl_learner.errors import CannotResume
-from athrl_learner.going_on import checkpoint_to_go_on_from
 from athrl_learner.learner import Learner
-from athrl_learner.memory import keep_freed_memory
-from athrl_learner.parts import make_parts
-from athrl_learner.planner_tables import held_to_planners, know_planners
+from athrl_learner.planner_tables import declare_installed_planners, with_planner_settings
 from athrl_learner.publication import recorded_version
+from athrl_learner.reporting.exposition import open_exposition
+from athrl_learner.run_changes import replace_settings
 from athrl_learner.run_folder import RunFolder
-from athrl_learner.snapshot import saved_version
+from athrl_learner.training.device import log_device, training_device
+from athrl_learner.training.memory import keep_freed_memory
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +49,7 @@ _SESSION_TIMEOUT = 10.0
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run came to."""
+    """The result of a run."""
 
     run: str
     folder: Path
@@ -62,44 +68,38 @@ def run_learner(
     resume: Path | None = None,
     stop: threading.Event,
     evaluator_deadline: float = 300.0,
+    reached_as: str | None = None,
 ) -> Summary:
-    """Be the learner of a run, from its start or its newest checkpoint, until it ends or `stop` is set.
+    """Run the learner, from the start or the newest checkpoint, until the run ends or `stop` is set.
 
-    Listens at `network.listen`, serves the run file, takes experience in, trains, publishes and writes into
-    the run's folder. At its end it stays for its actors (10 s at most) and for an evaluator that is still at
-    work (`evaluator_deadline` at most). When `stop` is set it takes nothing more in, writes a last checkpoint
-    and returns. Calls `torch.set_num_threads` for the whole process.
+    Listens at `network.listen` and `metrics.listen`, serves the run file, receives experience, trains,
+    publishes and writes into the run's folder. At the end it stays for its actors (at most 10 s) and for an
+    evaluator that is still working (at most `evaluator_deadline`). When `stop` is set it accepts no more
+    chunks, writes a last checkpoint and returns. Calls `torch.set_num_threads` for the whole process.
 
     Args:
-        run_file: the run to start; with `resume` the settings to go on with, by default those it had.
-        resume: the folder of the run to go on with.
+        run_file: the run to start; with `resume` the new settings, by default the run's own.
+        resume: the folder of the run to resume.
         stop: set from a signal handler or another thread.
         evaluator_deadline: seconds.
+        reached_as: host name or address by which other machines reach this one; the learner's address is
+            then kept in the run's folder while it runs.
 
     Raises:
-        LearnerError: the folder is taken, in use, cannot be resumed, or does not take the last checkpoint; or
-            there is no planner as the run file describes it; or this machine has no device of the kind that
-            it asks for, or less memory than the replay would take, and nothing has been written; or training
-            has diverged, which is a checkpoint later than the newest.
-        ProtocolError: the address is in use, `run.toml` is wrong, no client would accept the certificate, or
-            the run had certificates and is to go on without.
+        LearnerError: the folder is taken, in use, cannot be resumed, or the last checkpoint cannot be written
+            there; or no planner matches the run file; or this machine lacks the requested device or the
+            memory for the replay, and nothing has been written; or training has diverged after the newest
+            checkpoint.
+        ProtocolError: an address is in use, `run.toml` is not valid, no client would accept the certificate,
+            or a run that had certificates is resumed without them.
     """
     began = time.monotonic()
-    run_file, path = _what_and_where(run_file, resume)
-    if run_file.serial.enabled:
-        raise CannotResume(f"{path} is a serial run, which has no learner of its own: athrl train --serial")
-    shown = find_certificates(run_file.network.certificates, NAME)
-    if shown is not None:
-        shown.check_may_serve(NAME)
-    elif resume is not None:  # a new run brings its own address
-        complete_address(read_run_file(resume / "run.toml", complete=True).network.listen)
-    address = complete_address(run_file.network.listen, secure=shown is not None)
-    training_device(run_file)  # refused here: nothing has been written
+    run_file, path, address = _checked(run_file, resume)
     keep_freed_memory()
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path))
-        content = checkpoint_to_go_on_from(folder, resuming=resume is not None)
-        # The address before the folder's content: a run that cannot listen leaves nothing behind.
+        content = checkpoint_to_resume(folder, resuming=resume is not None)
+        # The addresses before the folder's content: a run that cannot listen must leave nothing behind.
         session = stack.enter_context(
             open_session(
                 listen=run_file.network.listen,
@@ -109,38 +109,85 @@ def run_learner(
                 largest_chunk=largest_chunk_of(run_file),
             )
         )
+        exposition = open_exposition(stack, run_file)
         log_device(run_file)
         publisher = stack.enter_context(PolicyPublisher(session, run_file.run.name))
-        parts = make_parts(stack, run_file, folder, content, publisher.publish)
-        parts.publication.go_on(max(recorded_version(folder.latest_policy_facts), saved_version(content)))
-        stack.enter_context(short_collections())
-        # Not before everything is restored: who is answered is answered by a whole learner.
-        connections = connect(stack, session, run_file, parts)
-        # Only settings that the checkpoint fits replace those it was made with.
-        folder.lay_out(to_toml(_with_address(run_file, address)))
-        # Last, because a client with the run file expects everything else to be there.
+        components = make_components(stack, run_file, folder, content, publisher.publish)
+        components.publication.resume_from(
+            max(recorded_version(folder.latest_policy_facts), saved_version(content))
+        )
+        stack.enter_context(frozen_garbage_collector())
+        # After everything is restored, so that no client gets an answer of an incomplete learner.
+        connections = connect(stack, session, run_file, components, publisher, exposition)
+        # The run's settings are only replaced by settings that fit the checkpoint.
+        changes = replace_settings(
+            folder, _with_address(run_file, address), components.store.environment_steps
+        )
+        stack.enter_context(serve_changes(session, run_file.run.name, changes))
+        # Last, because a client with the run file expects everything else to be ready.
         stack.enter_context(serve_run_file(session, run_file))
         stack.enter_context(announce_presence(session, run_file.run.name, NAME, NAME))
+        if reached_as is not None:
+            stack.enter_context(address_announced(path, address_at(reached_as, address)))
         log.info("run %s listens at %s and writes into %s", run_file.run.name, address, path)
-        finished = Learner(run_file, parts, connections).run(stop, evaluator_deadline)
+        finished = Learner(run_file, components, connections).run(stop, evaluator_deadline)
     return Summary(
         run=run_file.run.name,
         folder=path,
         finished=finished,
-        environment_steps=parts.store.environment_steps,
-        updates=parts.trainer.updates,
-        samples_per_insert=parts.store.limiter.realised_ratio,
-        policy_version=parts.publication.version,
+        environment_steps=components.store.environment_steps,
+        updates=components.trainer.updates,
+        samples_per_insert=components.store.limiter.realised_ratio,
+        policy_version=components.publication.version,
         policy=folder.latest_policy,
         seconds=time.monotonic() - began,
     )
 
 
-@contextlib.contextmanager
-def short_collections() -> Iterator[None]:
-    """Let Python's collector of cycles leave alone what is there now, such as torch's half a million objects.
+def check_run(run_file: RunFile | None, *, resume: Path | None = None) -> str:
+    """Check what `run_learner` checks before it listens; it neither listens nor trains.
 
-    Looking through them takes 0.2 s of a core, and training would wait for it at some snapshot or update.
+    Returns:
+        One line that says what a learner with these arguments would do.
+
+    Raises:
+        LearnerError, ProtocolError: as `run_learner`, but for an address that is in use.
+    """
+    run_file, path, _ = _checked(run_file, resume)
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(RunFolder(path))
+        content = checkpoint_to_resume(folder, resuming=resume is not None)
+        if resume is None:
+            check_memory(run_file)
+            return f"run {run_file.run.name} can start in {path}"
+        components = make_components(stack, run_file, folder, content, deliver=_to_nobody)
+        steps = components.store.environment_steps
+        return f"run {run_file.run.name} can be resumed in {path}, from {steps} environment steps"
+
+
+def _to_nobody(update: PolicyUpdate) -> None:
+    """Deliver a policy where nobody is connected."""
+
+
+def _checked(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path, str]:
+    """The settings, the folder and the complete address of a run, checked before anything is written."""
+    run_file, path = _settings_and_folder(run_file, resume)
+    if run_file.serial.enabled:
+        raise CannotResume(f"{path} is a serial run, which has no separate learner: athrl train --serial")
+    shown = find_certificates(run_file.network.certificates, NAME)
+    if shown is not None:
+        shown.check_may_serve(NAME)
+    elif resume is not None:
+        _require_encryption_as_before(resume, run_file)
+    training_device(run_file)
+    return run_file, path, complete_address(run_file.network.listen, secure=shown is not None)
+
+
+@contextlib.contextmanager
+def frozen_garbage_collector() -> Iterator[None]:
+    """Exclude existing objects, such as half a million of torch, from Python's garbage collection.
+
+    A collection that includes them takes 0.2 s of a core, for which a snapshot or update would wait.
     """
     gc.collect()
     gc.freeze()
@@ -150,21 +197,29 @@ def short_collections() -> Iterator[None]:
         gc.unfreeze()
 
 
+def _require_encryption_as_before(folder: Path, run_file: RunFile) -> None:
+    """Refuse to resume a run that had certificates without them, where others than this machine reach it."""
+    host, _ = split_address(complete_address(run_file.network.listen))
+    if not is_loopback(host):
+        complete_address(read_run_file(folder / "run.toml", complete=True).network.listen)
+
+
 def _with_address(run_file: RunFile, address: str) -> RunFile:
-    """The run file as it is kept: a run that had certificates says `tls/...` and does not go on without."""
+    """The run file as it is stored: `tls/...` says that the run cannot be resumed without certificates."""
     network = run_file.network.model_copy(update={"listen": address})
     return run_file.model_copy(update={"network": network})
 
 
-def _what_and_where(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path]:
-    """The run file to follow and the run's folder."""
-    know_planners()
+def _settings_and_folder(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path]:
+    """The settings and the folder of the run."""
+    declare_installed_planners()
     if resume is not None:
         if not (resume / "run.toml").is_file():
-            raise CannotResume(f"{resume} holds no run to go on with: there is no run.toml in it")
+            raise CannotResume(f"{resume} holds no run to resume: it has no run.toml")
         if run_file is None:
-            return read_run_file(resume / "run.toml", complete=True), resume
-        return held_to_planners(run_file), resume
+            return with_whole_maps(read_run_file(resume / "run.toml", complete=True)), resume
+        return with_whole_maps(with_planner_settings(run_file)), resume
     if run_file is None:
         raise ValueError("run_learner needs a run file, or a run to resume")
-    return held_to_planners(run_file), Path(run_file.run.folder) / run_file.run.name
+    folder = Path(run_file.run.folder) / run_file.run.name
+    return with_whole_maps(with_planner_settings(run_file)), folder

@@ -1,4 +1,4 @@
-"""The folder of a run: what lies where, who may write it, and files that are never half there."""
+"""The folder of a run: its layout, its lock, and files that are written atomically."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from athrl_learner.files import Files, write_whole
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write `content` beside `path`, bring it to the disk, and rename it: readers see the old or the new."""
+    """Write another file, sync it and rename it to `path`: readers see the old or the new file."""
     write_whole(Files(), path, content)
 
 
@@ -21,9 +21,9 @@ def _holds_something(folder: Path) -> bool:
 
 
 class RunFolder:
-    """`<folder>/<run>/`; as a context manager it is this process's alone until it leaves.
+    """`<folder>/<run>/`; as a context manager it is locked for this process.
 
-    The lock is the kernel's on an open file, so it ends with the process however that ends.
+    It is a lock of the kernel on an open file, so it ends with the process in any case.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,11 +37,11 @@ class RunFolder:
         self._lock: IO[bytes] | None = None
 
     def __enter__(self) -> RunFolder:
-        """Make the folder where it is missing and lock it.
+        """Make the folder if it is missing and lock it.
 
         Raises:
             RunFolderInUse: another learner holds it.
-            LearnerError: it cannot be written.
+            LearnerError: the folder cannot be written.
         """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -55,6 +55,12 @@ class RunFolder:
             raise RunFolderInUse(
                 f"another learner is writing {self.path}: stop it first, or choose another run.name"
             ) from None
+        except OSError as error:  # for instance of a network file system that is mounted without locks
+            lock.close()
+            raise LearnerError(
+                f"cannot lock {self._lock_path}: {error.strerror}; mount its file system with locks, or "
+                "choose another run.folder"
+            ) from None
         self._lock = lock
         return self
 
@@ -66,23 +72,24 @@ class RunFolder:
             self._lock = None
 
     def require_unused(self) -> None:
-        """Refuse a folder that holds a run; logs that a starter has put there already are no run.
+        """Refuse a folder that holds a run; log files that were put there before do not count.
 
         Raises:
             RunFolderTaken: it holds a run file or checkpoints.
         """
         if self.run_toml.exists() or any(map(_holds_something, (self.checkpoints, self.experience))):
             raise RunFolderTaken(
-                f"{self.path} holds a run already: go on with --resume {self.path} or choose another run.name"
+                f"{self.path} already holds a run: resume it with --resume {self.path}, "
+                "or choose another run.name"
             )
 
     def lay_out(self, run_toml: str) -> None:
-        """Make the folders inside and write `run.toml`, the run file as it is used."""
+        """Make the subfolders and write `run.toml`, the run file as it is used."""
         try:
             self.checkpoints.mkdir(exist_ok=True)
             self.experience.mkdir(exist_ok=True)
             self.latest_policy.parent.mkdir(exist_ok=True)
-            if not self._holds(run_toml.encode()):  # a run that goes on as it was needs no room on its disk
+            if not self._holds(run_toml.encode()):  # a run that is resumed unchanged needs no disk space
                 write_atomically(self.run_toml, run_toml.encode())
         except OSError as error:
             raise LearnerError(f"cannot write the run folder {self.path}: {error.strerror}") from None

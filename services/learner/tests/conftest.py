@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.util
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,9 +11,9 @@ from typing import Self
 
 import numpy as np
 import pytest
-from athrl_learner import translation
-from athrl_learner.segments import SegmentLog
-from athrl_learner.store import ExperienceStore
+from athrl_learner import factories
+from athrl_learner.intake.store import ExperienceStore
+from athrl_learner.log import SegmentLog
 from athrl_planners import settings_tables
 from athrl_protocol import (
     Chunk,
@@ -68,15 +67,8 @@ SETTINGS = (
 
 
 @pytest.fixture
-def free_address() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
-@pytest.fixture
-def run_file(tmp_path: Path, free_address: str) -> RunFile:
-    return read_run_file(None, [*SETTINGS, f"run.folder={tmp_path}", f"network.listen={free_address}"])
+def run_file(tmp_path: Path, address: str) -> RunFile:
+    return read_run_file(None, [*SETTINGS, f"run.folder={tmp_path}", f"network.listen={address}"])
 
 
 @pytest.fixture
@@ -149,8 +141,8 @@ def wait_for() -> Callable[[Callable[[], bool]], None]:
 
 @pytest.fixture
 def experience(run_file: RunFile, tmp_path: Path) -> Iterator[SegmentLog]:
-    """The log of experience of the small run, in a folder of its own."""
-    log = translation.make_log(run_file, tmp_path / "experience")
+    """The log of experience of the small run, in a separate folder."""
+    log = factories.make_log(run_file, tmp_path / "experience")
     yield log
     log.close()
 
@@ -162,7 +154,7 @@ def accept() -> Callable[[ExperienceStore, Chunk], None]:
 
 
 class FakeActor:
-    """Drives nothing, but speaks the whole protocol: fetches the run file, hears policies, uploads chunks."""
+    """Drives nothing, but speaks the whole protocol: reads the run file, gets policies, uploads chunks."""
 
     def __init__(self, address: str, make_chunk: Callable[..., Chunk], name: str = "actor-1") -> None:
         self._address = address
@@ -217,11 +209,11 @@ class FakeActor:
 
 
 @pytest.fixture
-def make_actor(free_address: str) -> Callable[..., FakeActor]:
+def make_actor(address: str) -> Callable[..., FakeActor]:
     """An actor of the small run that sends what the given function makes, under a name."""
-    return lambda make, name: FakeActor(free_address, make, name)
+    return lambda make, name: FakeActor(address, make, name)
 
 
 @pytest.fixture
-def fake_actor(free_address: str, make_chunk: Callable[..., Chunk]) -> FakeActor:
-    return FakeActor(free_address, make_chunk)
+def fake_actor(address: str, make_chunk: Callable[..., Chunk]) -> FakeActor:
+    return FakeActor(address, make_chunk)

@@ -28,10 +28,10 @@ class FaultyFile(WritableFile):
             raise
         super().write(content)
 
-    def cut(self, size: int) -> None:
+    def truncate(self, size: int) -> None:
         """Shorten the file."""
         self._disk.turn()
-        super().cut(size)
+        super().truncate(size)
 
     def sync(self) -> None:
         """Nothing but a turn: the tests' disks lose no power."""
@@ -45,16 +45,16 @@ class FaultyFiles(Files):
         dies_at: the operation, counted from 0, at which the process dies; half of what it was to write is
             written.
         fails_at: the operation that fails with an input/output error.
-        room: bytes that can be written in all, before the disk is full.
+        free_space: bytes that can be written in all, before the disk is full.
     """
 
     def __init__(
-        self, dies_at: int | None = None, fails_at: int | None = None, room: int | None = None
+        self, dies_at: int | None = None, fails_at: int | None = None, free_space: int | None = None
     ) -> None:
         self.operations = 0
         self.dies_at = dies_at
         self.fails_at = fails_at
-        self.room = room
+        self.free_space = free_space
 
     def turn(self, size: int = 0) -> None:
         """Called before each operation, with the bytes that it writes."""
@@ -67,12 +67,12 @@ class FaultyFiles(Files):
             raise Died
         if operation == self.fails_at:
             raise OSError(errno.EIO, "Input/output error")
-        if self.room is not None:
-            if size > self.room:
+        if self.free_space is not None:
+            if size > self.free_space:
                 full = OSError(errno.ENOSPC, "No space left on device")
-                full.written = self.room  # type: ignore[attr-defined]
+                full.written = self.free_space  # type: ignore[attr-defined]
                 raise full
-            self.room -= size
+            self.free_space -= size
 
     def create(self, path: Path) -> WritableFile:
         """Create a file that belongs to this disk."""
@@ -109,8 +109,8 @@ class FaultyFiles(Files):
         self.turn()
 
     def free_bytes(self, path: Path) -> int:
-        """What is left of the room."""
-        return self.room if self.room is not None else 2**40
+        """The free space that is left."""
+        return self.free_space if self.free_space is not None else 2**40
 
 
 class PowerCutFile(WritableFile):

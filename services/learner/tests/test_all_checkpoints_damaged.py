@@ -1,4 +1,4 @@
-"""When no checkpoint of a run is whole, the user is told so and nothing is touched."""
+"""If all checkpoints of a run are damaged, there is an error and nothing is changed."""
 
 import hashlib
 import shutil

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from athrl_learner.arrivals import NAMED, Arrivals
-from athrl_protocol import athrl_pb2
-from athrl_protocol.metrics import decode_metrics
-from athrl_protocol.schema import encode_message
+import numpy as np
+from athrl_learner.intake.arrivals import NAMED, Arrivals
+from athrl_protocol.announcements.metrics import decode_metrics
+from athrl_protocol.messages import athrl_pb2
+from athrl_protocol.messages.schema import encode_message
 
 
 def test_report_about_a_thousand_actors_is_taken_and_names_those_furthest_behind(make_chunk):
@@ -23,3 +24,17 @@ def test_report_about_a_thousand_actors_is_taken_and_names_those_furthest_behind
     named = {key.removeprefix("policy_lag/") for key in values if key.startswith("policy_lag/")}
     assert len(named) == NAMED
     assert named == behind
+
+
+def test_policy_that_the_learner_did_not_publish_is_named_and_counted(make_chunk, caplog):
+    arrivals = Arrivals()
+    arrivals.published(39)
+    versions = np.array([38, 39, 39, 39, 39])
+    arrivals.arrived(make_chunk(policy_version=versions))
+    assert arrivals.unpublished == 0
+    for _ in range(2):
+        arrivals.arrived(make_chunk(policy_version=np.array([39, 999, 39, 39, 39])))
+    padding = np.array([39, 39, 39, 39, 999])
+    arrivals.arrived(make_chunk(policy_version=padding, length=4))
+    assert arrivals.unpublished == 2
+    assert caplog.messages == ["actor-1 drives policy 999, which this learner did not publish"]

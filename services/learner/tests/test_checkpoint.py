@@ -16,16 +16,29 @@ from athrl_learner.checkpoint import (
     remove_unneeded,
     write_checkpoint,
 )
+from athrl_learner.checkpoint.checkpointer import Checkpointer
 from athrl_learner.checkpoint.content import manifest_checksum
-from athrl_learner.checkpointing import Checkpointer
 from athrl_learner.errors import CannotResume, CheckpointFailed, DamagedCheckpoint
-from athrl_learner.segments import Kind, LogPosition, SegmentFacts, SegmentLog, numbered_segments
+from athrl_learner.log import Kind, LogPosition, SegmentFacts, SegmentLog, numbered_segments
 
 
 def content(number: int = 0) -> CheckpointContent:
+    state = {
+        "number": number,
+        "run_file": {"run": {"name": "small"}},
+        "environment_steps": 100 * number,
+        "updates": number,
+        "policy_version": 10 * number,
+        "limiter": {"inserts": 3, "samples": 4},
+        "ledger": {"actor-1": {"17": 3}},
+        "totals": {"stored": 3},
+        "replay": {"inserted": 3, "sequences": 3, "random": [2**64 - 1, 0]},
+        "policy": "{}",
+    }
+    weights = {"intention": {"weight": torch.full((3, 2), float(number))}}
     return CheckpointContent(
-        state={"number": number, "policy_version": 10 * number, "limiter": {"inserts": 3, "samples": 4}},
-        agent={"updates": number, "levels": {"intention": {"weight": torch.full((3, 2), float(number))}}},
+        state=state,
+        agent={"planner": {"updates": number, "levels": weights}, "priorities": {}},
         log=LogPosition(number + 2, 70, 50, 1, (SegmentFacts(number + 1, 40, 30, 4321, "abcd"),)),
     )
 
@@ -41,7 +54,7 @@ def test_a_checkpoint_holds_exactly_what_was_given(tmp_path):
     read = read_checkpoint(write_checkpoint(tmp_path, written))
     assert read.state == written.state
     assert read.log == written.log
-    assert torch.equal(read.agent["levels"]["intention"]["weight"], torch.full((3, 2), 5.0))
+    assert torch.equal(read.agent["planner"]["levels"]["intention"]["weight"], torch.full((3, 2), 5.0))
 
 
 def test_only_the_newest_are_kept(tmp_path):
@@ -54,11 +67,11 @@ def test_only_the_newest_are_kept(tmp_path):
 
 def test_the_best_is_kept_beside_the_newest(tmp_path):
     # Checkpoint n has policy version 10 (n - 1); scores are of versions in between.
-    heard = {2: [(11, 5.0)], 3: [(19, 100.0), (28, 3.0)], 5: [(41, 90.0)], 7: [(60, float("nan"))]}
+    new_scores = {2: [(11, 5.0)], 3: [(19, 100.0), (28, 3.0)], 5: [(41, 90.0)], 7: [(60, float("nan"))]}
     for number in range(8):
         best = BestCheckpoint(tmp_path)  # a new learner each time
-        for version, score in heard.get(number, []):
-            best.heard(version, score)
+        for version, score in new_scores.get(number, []):
+            best.add_score(version, score)
         write_checkpoint(tmp_path, content(number))
         kept = remove_unneeded(tmp_path, 2, best)
     names = sorted(path.name for path in tmp_path.glob("checkpoint-*"))
@@ -70,12 +83,12 @@ def test_the_best_is_kept_beside_the_newest(tmp_path):
 
 def test_a_score_goes_to_the_nearest_checkpoint_and_waits_for_one(tmp_path):
     best = BestCheckpoint(tmp_path)
-    best.heard(7, 1.0)
+    best.add_score(7, 1.0)
     assert best.choose({}) is None
     assert best.choose({"a": 0, "b": 10}) == "b"
-    best.heard(1, 2.0)
+    best.add_score(1, 2.0)
     assert best.choose({"a": 0, "b": 10}) == "a"
-    best.heard(4, 9.0)  # farther from "a" than the score that it has
+    best.add_score(4, 9.0)  # farther from "a" than the score that it has
     assert best.choose({"a": 0, "b": 10}) == "a"
     assert BestCheckpoint(tmp_path).choose({"a": 0, "b": 10}) == "a"
     assert BestCheckpoint(tmp_path).choose({"b": 10}) == "b"
@@ -130,8 +143,11 @@ def test_an_actor_in_the_same_process_comes_back_with_the_checkpoint(tmp_path):
 def test_a_pickle_with_the_right_checksum_is_refused(tmp_path):
     # A file that does something when it is unpickled, with a manifest made to fit it.
     written = content()
-    path = write_checkpoint(tmp_path, CheckpointContent(written.state, {"threat": Threat()}, written.log))
-    with pytest.raises(DamagedCheckpoint, match="cannot be read"):
+    path = write_checkpoint(
+        tmp_path,
+        CheckpointContent(written.state, {"planner": {"threat": Threat()}, "priorities": {}}, written.log),
+    )
+    with pytest.raises(DamagedCheckpoint, match=r"agent\.pt is damaged \(holds something besides tensors"):
         read_checkpoint(path)
     assert not Threat.carried_out
 
@@ -180,7 +196,7 @@ def write_three(folder, files=None):
     """What a run does to its folder: checkpoint after checkpoint, of which two are kept."""
     for number in range(1, 5):
         best = BestCheckpoint(folder, files)
-        best.heard(10 * number, -number)  # the first stays the best
+        best.add_score(10 * number, -number)  # the first stays the best
         write_checkpoint(folder, content(number), files)
         remove_unneeded(folder, 2, best, files)
 
@@ -199,7 +215,7 @@ def test_a_death_at_any_operation_leaves_a_loadable_checkpoint(tmp_path, faults)
         number = found[1].state["number"] if found is not None else 0
         assert number >= newest, "a later death left an older checkpoint"
         newest = number
-        # Whoever goes on can write, and finds all names free.
+        # A resumed learner can write, and all names are free.
         assert read_checkpoint(write_and_keep(folder, 9, kept=2)).state["number"] == 9
         assert all(path.name == "scores.json" or read_checkpoint(path) for path in folder.iterdir())
     assert newest == 4
@@ -230,21 +246,22 @@ def test_a_checkpoint_frees_the_segments_that_none_needs(tmp_path):
 
 
 WRITE_AND_KILL = """
-import os, signal, sys, time
+import json, os, signal, sys, time
 from pathlib import Path
 import torch
 from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent, remove_unneeded, write_checkpoint
-from athrl_learner.segments import LogPosition
+from athrl_learner.log import LogPosition
 folder = Path(sys.argv[1])
-for delay in sys.argv[2:]:
+for delay in sys.argv[3:]:
     writer = os.fork()
     if writer == 0:
         number = 0
         while True:
             number += 1
             weights = {"weight": torch.full((1000, 1000), float(number))}
-            state = {"number": number, "policy_version": 0}
-            write_checkpoint(folder, CheckpointContent(state, weights, LogPosition(1, 0, 0, 0, ())))
+            agent = {"planner": weights, "priorities": {}}
+            state = json.loads(sys.argv[2]) | {"number": number}
+            write_checkpoint(folder, CheckpointContent(state, agent, LogPosition(1, 0, 0, 0, ())))
             remove_unneeded(folder, 2, BestCheckpoint(folder))
     while not list(folder.glob("checkpoint-[0-9]*[0-9]")):
         time.sleep(0.01)
@@ -259,12 +276,14 @@ for delay in sys.argv[2:]:
 def test_a_kill_while_writing_leaves_a_loadable_checkpoint(tmp_path):
     delays = [str(delay / 1000) for delay in range(0, 96, 12)]
     unfinished = 0
-    command = [sys.executable, "-c", WRITE_AND_KILL, str(tmp_path), *delays]
+    command = [sys.executable, "-c", WRITE_AND_KILL, str(tmp_path), json.dumps(content().state), *delays]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as killing:
         for _ in delays:
             assert killing.stdout.readline() == b"killed\n"
             _, used = newest_intact_checkpoint(tmp_path)
-            assert torch.equal(used.agent["weight"], torch.full((1000, 1000), float(used.state["number"])))
+            assert torch.equal(
+                used.agent["planner"]["weight"], torch.full((1000, 1000), float(used.state["number"]))
+            )
             unfinished += len(remove_unfinished(tmp_path))
             killing.stdin.write(b"go on\n")
             killing.stdin.flush()

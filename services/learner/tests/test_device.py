@@ -5,10 +5,11 @@ import os
 
 import pytest
 import torch
-from athrl_learner import device, translation
-from athrl_learner.device import log_device, training_device, training_threads, update_precision
+from athrl_learner import factories
 from athrl_learner.errors import LearnerError
-from athrl_planners.precision import Measured
+from athrl_learner.training import device
+from athrl_learner.training.device import log_device, training_device, training_threads, update_precision
+from athrl_planners.training.precision import Measured
 from athrl_protocol import RunFile
 
 
@@ -66,7 +67,7 @@ def test_precision_is_the_one_that_is_wanted(run_file, caplog, precision, dtype)
 def test_faster_precision_is_taken_and_the_log_says_why(run_file, monkeypatch, caplog, speed, dtype, said):
     monkeypatch.setattr(device, "faster_precision", lambda _: Measured(dtype, speed))
     with caplog.at_level(logging.INFO):
-        assert translation.make_agent(with_precision(run_file, "auto")).precision == dtype
+        assert factories.make_agent(with_precision(run_file, "auto")).precision == dtype
     assert said in caplog.text
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from athrl_learner import LearnerError, Summary, run_learner, translation
+from athrl_learner import LearnerError, Summary, factories, run_learner
 from athrl_learner.checkpoint import newest_intact_checkpoint
-from athrl_learner.training import Trainer
-from athrl_planners import TrainingDiverged, agent
-from athrl_protocol import RunFile
+from athrl_learner.training.trainer import Trainer
+from athrl_planners import Agent, SequenceReplay, TrainingDiverged
+from athrl_planners.training import agent
+from athrl_protocol import Chunk, RunFile
 
 GOOD_UPDATES = 5
 
@@ -26,21 +28,26 @@ def longer(run_file: RunFile) -> RunFile:
     return run_file.model_copy(update={"run": run, "learner": learner})
 
 
-def poison(monkeypatch: pytest.MonkeyPatch, loss: str) -> None:
-    """Have the critics' or the actors' loss be no number from some update on."""
+def poison(
+    monkeypatch: pytest.MonkeyPatch,
+    loss: str,
+    factor: float = float("nan"),
+    good_updates: int = GOOD_UPDATES,
+) -> None:
+    """Multiply the critics' or the actors' loss from some update on."""
     calls = []
     critic_loss, actor_losses = agent.critic_loss, agent.actor_losses
 
     def poisoned_critic_loss(*arguments: object) -> object:
         calls.append(None)
         result = critic_loss(*arguments)
-        return result._replace(loss=result.loss * float("nan")) if len(calls) > GOOD_UPDATES else result
+        return result._replace(loss=result.loss * factor) if len(calls) > good_updates else result
 
     def poisoned_actor_losses(*arguments: object) -> object:
         calls.append(None)
         losses, metrics = actor_losses(*arguments)
-        if len(calls) > GOOD_UPDATES:
-            losses = {level: loss * float("nan") for level, loss in losses.items()}
+        if len(calls) > good_updates:
+            losses = {level: loss * factor for level, loss in losses.items()}
         return losses, metrics
 
     if loss == "critic":
@@ -97,13 +104,50 @@ def check_that_it_is_resumed(folder: Path) -> None:
     assert resumed.environment_steps > 0
 
 
-def test_loss_that_nobody_has_looked_at_is_noticed_before_anything_is_kept(run_file, make_chunk, monkeypatch):
-    # As on a GPU, where an update waits for nobody: a report between the update and the look forgets nothing.
-    learner = translation.make_agent(run_file)
-    replay = translation.make_replay(run_file, learner)
-    for sequence in translation.make_reader(run_file, learner).sequences(make_chunk(sequences=4)):
+def new_trainer(run_file: RunFile, make_chunk: Callable[..., Chunk]) -> tuple[Trainer, SequenceReplay, Agent]:
+    learner = factories.make_agent(run_file)
+    replay = factories.make_replay(run_file, learner)
+    for sequence in factories.make_reader(run_file, learner).sequences(make_chunk(sequences=4)):
         replay.insert(sequence)
-    trainer = Trainer(learner, replay)
+    return Trainer(learner, replay), replay, learner
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("loss", ["critic", "actor"])
+@pytest.mark.parametrize("factor", [float("nan"), float("inf"), 1e37])
+def test_overflow_is_reported_as_what_is_no_number_is(
+    run_file, make_chunk, monkeypatch, factor: float, loss: str, precision: str
+):
+    # With the last factor the loss is finite or overflows in some of its decisions; its gradient overflows.
+    settings = run_file.learner.model_copy(update={"precision": precision})
+    trainer, replay, _ = new_trainer(run_file.model_copy(update={"learner": settings}), make_chunk)
+    trainer.update(replay.sample(20), 0.0)
+    poison(monkeypatch, loss, factor, good_updates=0)
+
+    def update_twice() -> None:  # actors learn every second time
+        for _ in range(2):
+            trainer.update(replay.sample(20), 0.0)
+
+    with pytest.raises(TrainingDiverged, match=r"(inf|nan)$") as refusal:
+        update_twice()
+    assert "\n" not in str(refusal.value)
+
+
+def test_overflow_of_an_error_is_reported_before_it_is_a_priority(run_file, make_chunk, monkeypatch):
+    settings = run_file.replay.model_copy(update={"prioritised": True})
+    trainer, replay, learner = new_trainer(run_file.model_copy(update={"replay": settings}), make_chunk)
+    monkeypatch.setattr(learner, "device", torch.device("meta"))  # as on a GPU, where no loss is looked at
+    before = replay.priorities()["priorities"]
+    errors = torch.tensor([1.0, float("inf"), 1.0, 1.0])
+    monkeypatch.setattr(learner, "update", lambda *_: ({}, errors))
+    with pytest.raises(TrainingDiverged, match="an error of update 0 is inf"):
+        trainer.update(replay.sample(20), 0.0)
+    np.testing.assert_array_equal(replay.priorities()["priorities"], before)
+
+
+def test_loss_that_nobody_has_looked_at_is_noticed_before_anything_is_kept(run_file, make_chunk, monkeypatch):
+    # As on a GPU, where an update does not synchronise: a report between update and check loses nothing.
+    trainer, replay, learner = new_trainer(run_file, make_chunk)
     trainer.update(replay.sample(20), 0.0)
     trainer.require_finite()
     monkeypatch.setattr(learner, "device", torch.device("meta"))

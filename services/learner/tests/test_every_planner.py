@@ -10,16 +10,16 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import onnx
 import pytest
-from athrl_learner import Summary, fingerprint, run_learner, translation
-from athrl_learner.arrivals import Arrivals
-from athrl_learner.checkpoint import read_checkpoint, write_checkpoint
-from athrl_learner.direct import DirectIntake
-from athrl_learner.parts import make_experience
-from athrl_learner.snapshot import restore_snapshot, take_snapshot
-from athrl_learner.store import ExperienceStore
+from athrl_learner import Summary, factories, run_learner
+from athrl_learner.checkpoint import fingerprint, read_checkpoint, write_checkpoint
+from athrl_learner.checkpoint.snapshot import restore_snapshot, take_snapshot
+from athrl_learner.components import make_experience
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.intake.local_intake import LocalIntake
+from athrl_learner.intake.store import ExperienceStore
 from athrl_planners import Agent
 from athrl_protocol import Chunk, LevelColumns, RunFile
-from athrl_protocol.ledger import Ledger
+from athrl_protocol.delivery.ledger import Ledger
 from athrl_protocol.run_file import PlannerSection
 
 TIME = 5
@@ -36,7 +36,7 @@ def of(run_file: RunFile, kind: str, *, prioritised: bool = False, **settings: o
 def chunks_of(run_file: RunFile, make_chunk: Callable[..., Chunk]) -> Callable[..., Chunk]:
     """Make chunks that fit any planner."""
     random = np.random.default_rng(0)
-    levels = translation.make_agent(run_file).description.levels
+    levels = factories.make_agent(run_file).description.levels
 
     def make(**fields: object) -> Chunk:
         columns = {
@@ -87,19 +87,19 @@ def test_planner_trains_to_its_end_and_publishes_what_it_is(run_file, make_chunk
 def test_priorities_come_back_with_the_checkpoint(run_file, make_chunk, tmp_path, memory):
     run_file = of(run_file, "athrl", prioritised=True, memory=memory)
     make = chunks_of(run_file, make_chunk)
-    agent = translation.make_agent(run_file)
-    log = translation.make_log(run_file, tmp_path / "experience")
+    agent = factories.make_agent(run_file)
+    log = factories.make_log(run_file, tmp_path / "experience")
     store = make_experience(run_file, agent, Arrivals(), log)
-    intake = DirectIntake(store, Ledger())
+    intake = LocalIntake(store, Ledger())
     for number in range(14):
         intake.take_in(make(length=1 + number % TIME))
     for _ in range(5):
         train(agent, store)
     content = take_snapshot(run_file, agent, store, intake, policy_version=0)
     content = read_checkpoint(write_checkpoint(tmp_path / "checkpoints", content))
-    other = translation.make_agent(run_file)
+    other = factories.make_agent(run_file)
     again = make_experience(
-        run_file, other, Arrivals(), translation.make_log(run_file, tmp_path / "experience")
+        run_file, other, Arrivals(), factories.make_log(run_file, tmp_path / "experience")
     )
     restore_snapshot(content, other, again)
     assert fingerprint.replay_content(again.replay) == fingerprint.replay_content(store.replay)
@@ -108,8 +108,8 @@ def test_priorities_come_back_with_the_checkpoint(run_file, make_chunk, tmp_path
 
 
 def train(agent: Agent, store: ExperienceStore) -> list[int]:
-    """One update; which pieces it was of."""
+    """One update; return the items of its batch."""
     batch = store.replay.sample(20)
     _, errors = agent.update(batch)
-    store.replay.learnt(batch, errors.numpy())
+    store.replay.update_priorities(batch, errors.numpy())
     return batch.places.tolist()

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from athrl_learner import fingerprint, translation
+from athrl_learner import factories
+from athrl_learner.checkpoint import fingerprint
 
 
 def test_same_state_has_the_same_fingerprint_whatever_holds_it():
@@ -35,9 +36,9 @@ def test_what_has_no_fingerprint_is_refused():
 
 
 def test_update_changes_parameters_and_optimisers_and_a_sample_the_replay(run_file, make_chunk):
-    agent = translation.make_agent(run_file)
-    replay = translation.make_replay(run_file, agent)
-    reader = translation.make_reader(run_file, agent)
+    agent = factories.make_agent(run_file)
+    replay = factories.make_replay(run_file, agent)
+    reader = factories.make_reader(run_file, agent)
     for _ in range(4):
         (sequence,) = reader.sequences(make_chunk())
         replay.insert(sequence)

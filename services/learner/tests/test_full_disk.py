@@ -1,4 +1,4 @@
-"""A disk that is full while a run goes on: actors wait, people are told, and nothing is lost."""
+"""A disk that gets full during a run: actors wait, the state shows it, and nothing is lost."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from athrl_learner import Summary, run_learner
-from athrl_learner.room import DiskRoom
+from athrl_learner.log.disk_space import DiskSpace
 from athrl_protocol import RunFile
 
 
@@ -31,7 +31,7 @@ def small_disk(run_file: RunFile, tmp_path: Path) -> Iterator[RunFile]:
     subprocess.run(["umount", folder], check=True)
 
 
-def test_a_full_disk_pauses_the_run_until_there_is_room(small_disk, fake_actor, caplog):
+def test_a_full_disk_pauses_the_run_until_there_is_space(small_disk, fake_actor, caplog):
     ballast = Path(small_disk.run.folder) / "ballast"
     stop = threading.Event()
     with ThreadPoolExecutor(1) as pool, fake_actor:
@@ -41,22 +41,22 @@ def test_a_full_disk_pauses_the_run_until_there_is_room(small_disk, fake_actor, 
             ballast.write_bytes(bytes(1_900_000))
             fake_actor.wait_for(lambda: "intake is paused" in fake_actor.states[-1].waiting)
             paused_at = fake_actor.states[-1].environment_steps
-            heard = len(fake_actor.states)
-            fake_actor.wait_for(lambda: len(fake_actor.states) > heard + 1)
+            states_before = len(fake_actor.states)
+            fake_actor.wait_for(lambda: len(fake_actor.states) > states_before + 1)
             assert fake_actor.states[-1].environment_steps == paused_at < 2000
             assert str(small_disk.run.folder) in fake_actor.states[-1].waiting
             assert not running.done()
             ballast.unlink()
             fake_actor.wait_for(lambda: fake_actor.states[-1].environment_steps > paused_at)
             assert "intake pauses, nothing is lost" in caplog.text
-            assert "intake goes on after" in caplog.text
+            assert "intake continues after" in caplog.text
         finally:
             stop.set()
         summary: Summary = running.result(timeout=60)
     assert summary.environment_steps == 5 * fake_actor.statistics.acknowledged
 
 
-def test_a_learner_comes_back_though_its_disk_is_full_and_goes_on_when_there_is_room(small_disk, fake_actor):
+def test_a_learner_restarts_on_a_full_disk_and_continues_when_there_is_space(small_disk, fake_actor):
     durability = small_disk.durability.model_copy(update={"reserve_mebibytes": 0.5})
     small_disk = small_disk.model_copy(update={"durability": durability})
     ballast = Path(small_disk.run.folder) / "ballast"
@@ -83,14 +83,14 @@ def test_a_learner_comes_back_though_its_disk_is_full_and_goes_on_when_there_is_
 
 def test_what_nobody_waits_for_any_more_is_not_told():
     now = 0.0
-    room = DiskRoom(clock=lambda: now)
-    assert room.explain() == ""
-    room.missing("the disk is full")
+    disk_space = DiskSpace(clock=lambda: now)
+    assert disk_space.explain() == ""
+    disk_space.report_full("the disk is full")
     now = 4.0
-    assert room.explain() == "intake is paused for 4 s: the disk is full"
+    assert disk_space.explain() == "intake is paused for 4 s: the disk is full"
     now = 6.0
-    assert room.explain() == ""
-    room.missing("the disk is full")
-    assert room.explain() == "intake is paused for 6 s: the disk is full"
-    room.found()
-    assert room.explain() == ""
+    assert disk_space.explain() == ""
+    disk_space.report_full("the disk is full")
+    assert disk_space.explain() == "intake is paused for 6 s: the disk is full"
+    disk_space.report_free()
+    assert disk_space.explain() == ""

@@ -4,7 +4,7 @@ import copy
 import math
 
 import pytest
-from athrl_learner.limiter import SamplesPerInsert
+from athrl_learner.intake.limiter import SamplesPerInsert
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -114,10 +114,10 @@ def test_the_limiter_says_who_waits_for_whom():
 
 
 def in_arrears(inserts: int) -> SamplesPerInsert:
-    """A limiter of a learner that has taken so many transitions in again, which nobody has trained on."""
+    """A limiter of a learner that has restored so many transitions, which were not trained on."""
     limiter = small_limiter(ratio=32.0, largest_sample=160)
     limiter.inserted(inserts)
-    limiter.go_on()
+    limiter.resume()
     return limiter
 
 
@@ -150,7 +150,7 @@ def test_arrears_are_paid_off_and_do_not_come_back():
 @given(limiters, st.integers(0, 50_000), requests)
 def test_one_side_may_always_go_on_in_arrears_too(limiter, inserts, steps):
     limiter.inserted(inserts)
-    limiter.go_on()
+    limiter.resume()
     for insert, share in steps:
         take_a_step(limiter, insert, share)
         assert limiter.permits_insert(limiter.largest_insert) or limiter.permits_sample(

@@ -1,4 +1,4 @@
-"""After a crash: nothing that was acknowledged is lost, nothing is counted twice, what is damaged is told."""
+"""After a crash: nothing that was acknowledged is lost, nothing is counted twice, damage is reported."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from athrl_learner import CannotResume, translation
-from athrl_learner.arrivals import Arrivals
+from athrl_learner import CannotResume, factories
 from athrl_learner.checkpoint import CheckpointContent
+from athrl_learner.checkpoint.snapshot import Restored, restore_snapshot, take_snapshot
+from athrl_learner.components import make_experience
 from athrl_learner.files import Files
-from athrl_learner.parts import make_experience
-from athrl_learner.segments import numbered_segments
-from athrl_learner.segments.facts import SEGMENT_HEADER_BYTES
-from athrl_learner.snapshot import Restored, restore_snapshot, take_snapshot
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.log import numbered_segments
+from athrl_learner.log.segments import SEGMENT_HEADER_BYTES
 from athrl_protocol import Chunk, RunFile, encode_chunk, read_run_file
-from athrl_protocol.ledger import Ledger
+from athrl_protocol.delivery.ledger import Ledger
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as some
 
@@ -41,8 +41,8 @@ class SmallLearner:
         run = run_file.run.model_copy(update={"environment_steps": 10**6})
         learner = run_file.learner.model_copy(update={"samples_per_insert": samples_per_insert})
         self.run_file = run_file.model_copy(update={"replay": replay, "run": run, "learner": learner})
-        self.agent = translation.make_agent(self.run_file)
-        log = translation.make_log(self.run_file, folder)
+        self.agent = factories.make_agent(self.run_file)
+        log = factories.make_log(self.run_file, folder)
         self.store = make_experience(self.run_file, self.agent, Arrivals(), log)
         self.restored: Restored = restore_snapshot(content, self.agent, self.store)
         self._ledger = self.restored.ledger
@@ -285,7 +285,7 @@ def test_a_segment_of_another_run_is_named(run_file, make_chunk, tmp_path, caplo
     log = dataclasses.replace(content.log, segments=(facts, *content.log.segments[1:]))
     with caplog.at_level(logging.WARNING):
         SmallLearner(learner.run_file, tmp_path, dataclasses.replace(content, log=log))
-    assert "its checksum is another" in caplog.text
+    assert "its checksum differs" in caplog.text
 
 
 def test_a_log_of_other_settings_is_refused_in_one_line(run_file, make_chunk, tmp_path):
@@ -299,7 +299,7 @@ def test_a_log_of_other_settings_is_refused_in_one_line(run_file, make_chunk, tm
 def test_half_a_record_is_cut_off_so_that_it_is_not_found_again(run_file, make_chunk, tmp_path, caplog):
     learner, content = damaged_life(run_file, make_chunk, tmp_path)
     path = segment_files(tmp_path)[-1]
-    Files().cut(path, path.stat().st_size - 7)
+    Files().truncate(path, path.stat().st_size - 7)
     back = SmallLearner(learner.run_file, tmp_path, content)
     assert f"{path}: a record was cut off" in caplog.text
     assert (back.restored.damaged, back.restored.recovered) == (0, 2)

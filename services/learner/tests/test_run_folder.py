@@ -1,5 +1,7 @@
 """A run's folder has one writer and one run."""
 
+import errno
+import fcntl
 import os
 import signal
 
@@ -40,7 +42,7 @@ def test_a_new_run_never_overwrites_another(tmp_path):
     with RunFolder(tmp_path / "run") as folder:
         folder.require_unused()
         folder.lay_out("[run]\n")
-        with pytest.raises(RunFolderTaken, match="go on with --resume"):
+        with pytest.raises(RunFolderTaken, match="resume it with --resume"):
             folder.require_unused()
 
 
@@ -61,3 +63,12 @@ def test_a_file_is_replaced_whole(tmp_path):
     write_atomically(tmp_path / "policy", b"new")
     assert [path.name for path in tmp_path.iterdir()] == ["policy"]
     assert (tmp_path / "policy").read_bytes() == b"new"
+
+
+def test_file_system_without_locks_is_refused_in_one_line(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(LearnerError, match=r"cannot lock .*learner\.lock: No locks available; mount"):
+        RunFolder(tmp_path / "run").__enter__()

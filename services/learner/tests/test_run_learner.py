@@ -1,5 +1,7 @@
 """Whole runs over loopback with an actor that speaks the real protocol: start, end, stop, kill, resume."""
 
+import json
+import logging
 import subprocess
 import sys
 import threading
@@ -11,14 +13,16 @@ from pathlib import Path
 
 import onnx
 import pytest
-from athrl_learner import CannotResume, RunFolderInUse, RunFolderTaken, Summary, run_learner
+from athrl_learner import CannotResume, RunFolderInUse, RunFolderTaken, Summary, check_run, run_learner
 from athrl_learner import learner as learner_module
 from athrl_learner.checkpoint import newest_intact_checkpoint
+from athrl_learner.errors import TooLittleMemory
 from athrl_protocol import (
     AddressInUse,
     Phase,
     PolicySubscriber,
     RunFile,
+    StateSubscriber,
     announce_presence,
     open_session,
     read_run_file,
@@ -28,7 +32,7 @@ from athrl_protocol import (
 
 @contextmanager
 def learner(run_file: RunFile | None, resume: Path | None = None) -> Iterator[tuple[Future, threading.Event]]:
-    """A learner in a thread of its own; stopped at the latest when the block ends."""
+    """A learner in a separate thread; stopped at the latest when the block ends."""
     stop = threading.Event()
     with ThreadPoolExecutor(1) as pool:
         try:
@@ -79,14 +83,14 @@ def test_a_stopped_run_goes_on_where_it_was(run_file, fake_actor):
             stopped: Summary = running.result(timeout=60)
         assert not stopped.finished
         assert 60 <= stopped.environment_steps < 400
-        heard = len(fake_actor.policies)
+        received = len(fake_actor.policies)
         # The actor stays as it is: it keeps what was not acknowledged and finds the learner again.
         with learner(None, resume=folder_of(run_file)) as (running, _):
             resumed: Summary = running.result(timeout=120)
     assert resumed.finished
     assert fake_actor.finished
-    assert fake_actor.policies[heard].version > stopped.policy_version
-    assert fake_actor.policies[heard].updates == stopped.updates
+    assert fake_actor.policies[received].version > stopped.policy_version
+    assert fake_actor.policies[received].updates == stopped.updates
     versions = [policy.version for policy in fake_actor.policies]
     assert versions == sorted(set(versions))
     assert resumed.environment_steps == 5 * fake_actor.statistics.acknowledged
@@ -109,7 +113,7 @@ run_learner(None if resume else run_file, resume=resume, stop=threading.Event())
 
 @contextmanager
 def killed_in_the_end(run_file: RunFile, path: Path) -> Iterator[None]:
-    """A learner in a process of its own, which goes on with the run if there is one, until it is killed."""
+    """A learner in a separate process, which resumes an existing run, until it is killed."""
     path.write_text(to_toml(run_file))
     with subprocess.Popen([sys.executable, "-c", RUN, str(path)]) as process:
         try:
@@ -167,15 +171,15 @@ def test_a_killed_run_goes_on_from_its_checkpoint(run_file, fake_actor, tmp_path
     with fake_actor:
         with killed_in_the_end(run_file, tmp_path / "file.toml"):
             fake_actor.wait_for(lambda: checkpoints.is_dir() and any(checkpoints.glob("checkpoint-??????")))
-        heard = len(fake_actor.policies)
+        received = len(fake_actor.policies)
         with learner(None, resume=folder_of(run_file)) as (running, _):
             resumed: Summary = running.result(timeout=120)
     assert resumed.finished
     assert fake_actor.finished
     assert resumed.environment_steps == 5 * fake_actor.statistics.acknowledged
-    # Versions go on above those that the actor has, though the checkpoint is older than the last of them.
-    newest_before = max(policy.version for policy in fake_actor.policies[:heard])
-    assert all(policy.version > newest_before for policy in fake_actor.policies[heard:])
+    # Versions continue above those that the actor has, although the checkpoint is older than the last one.
+    newest_before = max(policy.version for policy in fake_actor.policies[:received])
+    assert all(policy.version > newest_before for policy in fake_actor.policies[received:])
 
 
 def test_a_finished_learner_stays_for_an_evaluator_and_when_resumed_until_one_comes(
@@ -188,15 +192,15 @@ def test_a_finished_learner_stays_for_an_evaluator_and_when_resumed_until_one_co
             announce_presence(session, "small", "evaluator", "evaluator"),
         ):
             fake_actor.wait_for(lambda: fake_actor.finished)
-            # Longer than it stays for nobody.
+            # Longer than it stays without any service.
             time.sleep(2.5)
             assert not running.done()
             with PolicySubscriber(session, "small") as late:
                 assert late.wait(timeout=30).version == fake_actor.policies[-1].version
         first: Summary = running.result(timeout=60)
-    monkeypatch.setattr(learner_module, "_EVALUATOR_COMES_WITHIN", 600.0)
+    monkeypatch.setattr(learner_module, "_SECONDS_FOR_EVALUATOR_TO_COME", 600.0)
     with learner(None, resume=first.folder) as (running, _):
-        time.sleep(5.0)  # one that is started with it is being loaded meanwhile
+        time.sleep(5.0)  # an evaluator that is started with it is still being loaded
         assert not running.done()
         with (
             open_session(connect=run_file.network.listen, timeout=30) as session,
@@ -206,7 +210,7 @@ def test_a_finished_learner_stays_for_an_evaluator_and_when_resumed_until_one_co
             assert late.wait(timeout=30).version >= fake_actor.policies[-1].version
             time.sleep(3.0)  # the learner looks around ten times a second
         running.result(timeout=60)  # the evaluator has come and gone
-    monkeypatch.setattr(learner_module, "_EVALUATOR_COMES_WITHIN", 1.0)
+    monkeypatch.setattr(learner_module, "_SECONDS_FOR_EVALUATOR_TO_COME", 1.0)
     with learner(None, resume=first.folder) as (running, _):  # none comes
         again: Summary = running.result(timeout=60)
     assert first.finished
@@ -214,17 +218,56 @@ def test_a_finished_learner_stays_for_an_evaluator_and_when_resumed_until_one_co
     assert (again.environment_steps, again.updates) == (first.environment_steps, first.updates)
 
 
+def test_finished_and_compared_run_that_is_brought_up_again_does_nothing_but_say_so(
+    run_file, fake_actor, monkeypatch, caplog
+):
+    monkeypatch.setattr(learner_module, "_ALONE_SECONDS", 0.5)
+    with learner(changed(run_file, "run", environment_steps=70)) as (running, _), fake_actor:
+        first: Summary = running.result(timeout=60)
+    comparison = first.folder / "evaluation.json"
+    comparison.write_text(json.dumps({"environment_steps": first.environment_steps}))
+    before = {path: path.read_bytes() for path in first.folder.rglob("*") if path.is_file()}
+    caplog.set_level(logging.INFO)
+    with (
+        learner(None, resume=first.folder) as (running, _),
+        open_session(connect=run_file.network.listen, timeout=30) as session,
+        StateSubscriber(session, "small") as states,
+    ):
+        state = states.wait(30)  # who is started with it learns that, too
+        again: Summary = running.result(timeout=60)
+    assert state is not None
+    assert state.phase is Phase.FINISHED
+    assert again.finished
+    assert (again.environment_steps, again.policy_version) == (first.environment_steps, first.policy_version)
+    assert {path: path.read_bytes() for path in first.folder.rglob("*") if path.is_file()} == before
+    assert sum("the run is finished and compared" in message for message in caplog.messages) == 1
+
+
 def changed(run_file: RunFile, section: str, **values: object) -> RunFile:
     return run_file.model_copy(update={section: getattr(run_file, section).model_copy(update=values)})
 
 
+def test_run_that_can_start_starts_after_a_check(run_file):
+    assert check_run(run_file) == f"run small can start in {folder_of(run_file)}"
+    with learner(run_file) as (running, stop), open_session(connect=run_file.network.listen, timeout=30):
+        assert not running.done()
+        stop.set()
+        running.result(timeout=60)
+    with pytest.raises(RunFolderTaken):
+        check_run(run_file)
+    with pytest.raises(TooLittleMemory, match=r"replay\.capacity"):
+        check_run(changed(changed(run_file, "run", name="large"), "replay", capacity=2**40))
+
+
 def test_a_resumed_run_follows_the_settings_it_is_given(run_file, fake_actor, monkeypatch):
-    monkeypatch.setattr(learner_module, "_EVALUATOR_COMES_WITHIN", 1.0)
+    monkeypatch.setattr(learner_module, "_SECONDS_FOR_EVALUATOR_TO_COME", 1.0)
     with fake_actor:
         with learner(run_file) as (running, stop):
             fake_actor.wait_for(lambda: any(policy.updates for policy in fake_actor.policies))
             stop.set()
             stopped: Summary = running.result(timeout=60)
+        steps = f"from {stopped.environment_steps} environment steps"
+        assert check_run(None, resume=folder_of(run_file)).endswith(steps)
         shorter = changed(run_file, "run", environment_steps=stopped.environment_steps)
         with learner(shorter, resume=folder_of(run_file)) as (running, _):
             resumed: Summary = running.result(timeout=120)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from athrl_learner.errors import DiskFull, LogFailed
 from athrl_learner.files import Files
-from athrl_learner.segments import (
+from athrl_learner.log import (
     Damage,
     IntervalSync,
     Kind,
@@ -23,8 +23,8 @@ from athrl_learner.segments import (
     needed_segments,
     numbered_segments,
 )
-from athrl_learner.segments.facts import SEGMENT_HEADER_BYTES
-from athrl_learner.segments.records import HEADER_BYTES
+from athrl_learner.log.records import HEADER_BYTES
+from athrl_learner.log.segments import SEGMENT_HEADER_BYTES
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
@@ -171,9 +171,9 @@ def test_after_a_failed_sync_nothing_more_is_promised(tmp_path, faults):
         log.append(Kind.CHUNK, b"b")
 
 
-@pytest.mark.parametrize("room", range(0, 700, 13))
-def test_a_full_disk_leaves_whole_records_and_goes_on_when_there_is_room(tmp_path, room, faults):
-    files = faults.FaultyFiles(room=room)
+@pytest.mark.parametrize("free_space", range(0, 700, 13))
+def test_a_full_disk_leaves_whole_records_and_continues_when_there_is_space(tmp_path, free_space, faults):
+    files = faults.FaultyFiles(free_space=free_space)
     log = make_log(tmp_path, files)
     appended = []
     with contextlib.suppress(DiskFull):
@@ -182,17 +182,17 @@ def test_a_full_disk_leaves_whole_records_and_goes_on_when_there_is_room(tmp_pat
         with pytest.raises(DiskFull, match=f"the disk of {tmp_path} is full"):
             log.append(Kind.CHUNK, b"x" * 1000)
     assert read(tmp_path) == (appended, [])
-    files.room = None
+    files.free_space = None
     assert log.append(Kind.CHUNK, b"after") == len(appended)
     assert read(tmp_path) == ([*appended, b"after"], [])
 
 
-def test_room_is_left_for_checkpoints(tmp_path, faults):
-    files = faults.FaultyFiles(room=10_000)
+def test_space_is_left_for_checkpoints(tmp_path, faults):
+    files = faults.FaultyFiles(free_space=10_000)
     log = make_log(tmp_path, files, reserve_bytes=9_000)
-    with pytest.raises(DiskFull, match="are kept for checkpoints"):
+    with pytest.raises(DiskFull, match="are reserved for checkpoints"):
         fill(log, [])
-    assert files.room >= 9_000
+    assert files.free_space >= 9_000
 
 
 @pytest.fixture

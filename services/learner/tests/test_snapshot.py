@@ -1,16 +1,16 @@
-"""A snapshot put into a fresh learner goes on exactly where the old one was."""
+"""A snapshot restored into a new learner continues exactly where the old one stopped."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from athrl_learner import CannotResume, fingerprint, translation
-from athrl_learner.arrivals import Arrivals
-from athrl_learner.checkpoint import CheckpointContent, read_checkpoint, write_checkpoint
-from athrl_learner.parts import make_experience
-from athrl_learner.segments import LogPosition, SegmentLog
-from athrl_learner.snapshot import restore_snapshot, saved_version, take_snapshot
-from athrl_learner.store import ExperienceStore
+from athrl_learner import CannotResume, factories
+from athrl_learner.checkpoint import CheckpointContent, fingerprint, read_checkpoint, write_checkpoint
+from athrl_learner.checkpoint.snapshot import restore_snapshot, saved_version, take_snapshot
+from athrl_learner.components import make_experience
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.intake.store import ExperienceStore
+from athrl_learner.log import LogPosition, SegmentLog
 from athrl_planners import Agent
 from athrl_protocol import ChunkIntake, RunFile, encode_chunk, open_session
 
@@ -28,12 +28,12 @@ def trained(run_file: RunFile, make_chunk, agent: Agent, experience: SegmentLog)
 
 
 def restored_store(run_file: RunFile, agent: Agent, folder) -> ExperienceStore:
-    return make_experience(run_file, agent, Arrivals(), translation.make_log(run_file, folder))
+    return make_experience(run_file, agent, Arrivals(), factories.make_log(run_file, folder))
 
 
 @pytest.fixture
 def content(run_file, make_chunk, tmp_path, experience) -> tuple[CheckpointContent, Agent, ExperienceStore]:
-    agent = translation.make_agent(run_file)
+    agent = factories.make_agent(run_file)
     store = trained(run_file, make_chunk, agent, experience)
     with open_session(listen=run_file.network.listen, timeout=10) as session:
         ledger = {"actor-1": {"12": 34}}
@@ -44,7 +44,7 @@ def content(run_file, make_chunk, tmp_path, experience) -> tuple[CheckpointConte
 
 def test_training_goes_on_bit_for_bit(content, run_file):
     read, agent, store = content
-    other = translation.make_agent(run_file)
+    other = factories.make_agent(run_file)
     restored = restored_store(run_file, other, store.log.folder)
     found = restore_snapshot(read, other, restored)
     assert restored.environment_steps == store.environment_steps
@@ -69,7 +69,7 @@ def test_what_came_after_the_snapshot_is_taken_in_from_the_log(content, run_file
         chunk = make_chunk(actor="actor-2", sequence=sequence, length=4)
         store.accept(chunk, encode_chunk(chunk))
     store.refuse(make_chunk(actor="actor-2", sequence=3))
-    other = translation.make_agent(run_file)
+    other = factories.make_agent(run_file)
     restored = restored_store(run_file, other, store.log.folder)
     found = restore_snapshot(read, other, restored)
     assert found.recovered == 3
@@ -81,7 +81,7 @@ def test_what_came_after_the_snapshot_is_taken_in_from_the_log(content, run_file
 
 
 def test_a_snapshot_is_not_changed_by_later_training(run_file, make_chunk, experience):
-    agent = translation.make_agent(run_file)
+    agent = factories.make_agent(run_file)
     store = trained(run_file, make_chunk, agent, experience)
     with (
         open_session(listen=run_file.network.listen, timeout=10) as session,
@@ -93,7 +93,7 @@ def test_a_snapshot_is_not_changed_by_later_training(run_file, make_chunk, exper
         agent.update(store.sample(timeout=0))
     chunk = make_chunk(sequence=999)
     store.accept(chunk, encode_chunk(chunk))
-    fresh = translation.make_agent(run_file)
+    fresh = factories.make_agent(run_file)
     fresh.load_state_dict(snapshot.agent["planner"])
     assert fresh.updates == updates < agent.updates
     assert snapshot.state["replay"] == replay
@@ -103,7 +103,7 @@ def test_a_checkpoint_of_another_planner_is_refused_in_one_line(content, run_fil
     read, _, store = content
     planner = run_file.planner.model_copy(update={"recurrent_features": 12})
     larger = run_file.model_copy(update={"planner": planner})
-    agent = translation.make_agent(larger)
+    agent = factories.make_agent(larger)
     with pytest.raises(CannotResume, match="does not fit the run's settings") as refusal:
         restore_snapshot(read, agent, restored_store(larger, agent, store.log.folder))
     assert "\n" not in str(refusal.value)
@@ -112,7 +112,7 @@ def test_a_checkpoint_of_another_planner_is_refused_in_one_line(content, run_fil
 def test_a_limiter_never_comes_back_without_its_replay(content, run_file, tmp_path):
     read, agent, _ = content
     emptied = dataclasses.replace(read, log=LogPosition(1, 0, 0, 0, ()))
-    with pytest.raises(CannotResume, match="its replay does not hold"):
+    with pytest.raises(CannotResume, match="is not in its replay"):
         restore_snapshot(emptied, agent, restored_store(run_file, agent, tmp_path / "nothing"))
 
 
@@ -121,7 +121,7 @@ def test_a_chunk_that_has_half_left_the_replay_comes_back_by_half(run_file, make
     replay = run_file.replay.model_copy(update={"capacity": 100})  # 20 sequences, chunks have three
     learner = run_file.learner.model_copy(update={"samples_per_insert": 0.1})
     small = run_file.model_copy(update={"replay": replay, "learner": learner})
-    agent = translation.make_agent(small)
+    agent = factories.make_agent(small)
     store = make_experience(small, agent, Arrivals(), experience)
     for sequence in range(chunks):
         chunk = make_chunk(sequences=3, sequence=sequence)

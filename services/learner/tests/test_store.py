@@ -5,18 +5,18 @@ import threading
 import time
 
 import pytest
-from athrl_learner import translation
-from athrl_learner.arrivals import Arrivals
+from athrl_learner import factories
+from athrl_learner.components import make_experience
 from athrl_learner.errors import Deadlock
-from athrl_learner.parts import make_experience
-from athrl_learner.store import ExperienceStore
-from athrl_learner.waiting import WaitingTime, waiting_text
+from athrl_learner.intake.arrivals import Arrivals
+from athrl_learner.intake.store import ExperienceStore
+from athrl_learner.intake.waiting import WaitingTime, waiting_text
 from athrl_protocol import Chunk, IntakeBusy, IntakeFinished, InvalidMessage
 
 
 @pytest.fixture
 def store(run_file, experience) -> ExperienceStore:
-    return make_experience(run_file, translation.make_agent(run_file), Arrivals(), experience)
+    return make_experience(run_file, factories.make_agent(run_file), Arrivals(), experience)
 
 
 def fill(store: ExperienceStore, make_chunk, accept) -> None:
@@ -179,7 +179,7 @@ def test_one_side_that_waits_for_long_is_no_deadlock(store, make_chunk, accept):
 def test_the_ratio_is_held_for_any_number_of_actors(run_file, make_chunk, accept, experience, actors):
     run = run_file.run.model_copy(update={"environment_steps": 4000})
     store = make_experience(
-        run_file.model_copy(update={"run": run}), translation.make_agent(run_file), Arrivals(), experience
+        run_file.model_copy(update={"run": run}), factories.make_agent(run_file), Arrivals(), experience
     )
     chunks = [make_chunk(actor=f"actor-{number}") for number in range(actors)]
 
@@ -212,7 +212,7 @@ def test_policy_lag_is_told_for_each_actor_that_is_heard(make_chunk):
         arrivals.published(version)
     now = 15.0
     arrivals.arrived(make_chunk(actor="slow"))  # which drove with version 0; version 1 came 13 s ago
-    arrivals.published(0)  # by a learner that goes on from an old checkpoint
+    arrivals.published(0)  # by a learner that resumed an old checkpoint
     arrivals.arrived(make_chunk(actor="fast"))
     assert arrivals.metrics() == {
         "policy_lag": 7.0,

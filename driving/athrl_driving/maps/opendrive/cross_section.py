@@ -1,20 +1,33 @@
 """Where a section's lanes lie beside the reference line, and how wide they are."""
 
 import itertools
-import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.maps.opendrive.model import Cubic, Lane, LaneSection, OpenDrive, Road, record_at
+from athrl_driving.maps.opendrive.bounds import FARTHEST_BESIDE, LARGEST_NEGATIVE_WIDTH, LARGEST_STEP, STEP
+from athrl_driving.maps.opendrive.model import (
+    Cubic,
+    Geometry,
+    Lane,
+    LaneSection,
+    OpenDrive,
+    Road,
+    SpeedLimit,
+    record_at,
+)
 
 Floats = NDArray[np.float64]
 
 NARROWEST = 2.2
 """Metres: where a lane opens or closes, what is narrower than this is no lane to drive on."""
 
-_NEGATIVE_WIDTH = -1e-3
+_LEAST = 0.5
+"""Metres: what is nowhere wider than this is no lane, whatever it is called."""
+_ROUNDED_WIDTH = -1e-3
 _NARROW_SHARE = 0.7
 
 
@@ -40,24 +53,37 @@ def bands_at(content: OpenDrive, road: Road, section: LaneSection, stations: Flo
             records = lane.widths or lane.borders
             values, own_constant = _value(record_at(records, middle) or records[0], stations)
             width = values if lane.widths else np.abs(values) - inner
-            narrowest = float(width.min())
-            if narrowest < _NEGATIVE_WIDTH:
-                at = float(stations[int(np.argmin(width))])
-                message = f"its width is {narrowest:.3f} m at s = {at:.2f} m, it must not be negative"
-                raise content.error(road.id, lane.id, lane.line, message)
+            if float(width.min()) < _ROUNDED_WIDTH:
+                width = _at_least_zero(content, road, lane, width, stations)
             constant = constant and own_constant
+            farthest = float(np.abs(shift + side * (inner + width)).max())
+            if not farthest <= FARTHEST_BESIDE:
+                message = (
+                    f"it lies {farthest:,.0f} m beside the road, at most {FARTHEST_BESIDE:,.0f} m may be"
+                )
+                raise content.error(road.id, lane.id, lane.line, message)
             if lane.drives:
                 bands[lane.id] = LaneBand(lane, shift + side * (inner + 0.5 * width), width, constant)
             inner = inner + width
     return bands
 
 
+def _at_least_zero(content: OpenDrive, road: Road, lane: Lane, width: Floats, stations: Floats) -> Floats:
+    """Return a width that is a little below 0 somewhere as 0 there. Raises `MapError`: it is far below."""
+    narrowest = float(width.min())
+    if narrowest < -LARGEST_NEGATIVE_WIDTH:
+        at = float(stations[int(np.argmin(width))])
+        message = f"its width is {narrowest:.3f} m at s = {at:.2f} m, it must not be negative"
+        raise content.error(road.id, lane.id, lane.line, message)
+    content.note("a width below 0 was taken as 0", road.id, lane.id, lane.line, -narrowest)
+    return np.maximum(width, 0.0)
+
+
 def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[float]:
     """Return a section's ends and the stations between where the formula of a driving lane changes."""
     cuts = {section.s, section.end}
-    cuts.update(geometry.s for geometry in road.geometries)
-    cuts.update(record.s for record in road.offsets)
-    cuts.update(limit.s for limit in road.speeds)
+    for starts in (road.geometries, road.offsets, road.speeds):
+        cuts.update(_starts_within(starts, section))
     for side in (1, -1):
         records: list[Cubic] = []
         for lane in _outwards(section, side):
@@ -74,17 +100,24 @@ def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[fl
     return distinct
 
 
+def _starts_within(records: Sequence[Geometry | Cubic | SpeedLimit], section: LaneSection) -> list[float]:
+    """Return where the records begin that begin in the section."""
+    first = bisect_left(records, section.s, key=lambda record: record.s)
+    last = bisect_right(records, section.end, key=lambda record: record.s)
+    return [record.s for record in records[first:last]]
+
+
 def is_too_narrow(lane: Lane, section: LaneSection, width: float) -> bool:
-    """Tell whether a piece of a lane with this mean width belongs to where it opens or closes."""
+    """Tell whether a part of a lane with this mean width belongs to where the lane opens or closes."""
     return width < _narrow_limit(lane, section)
 
 
 def speed_limit_at(road: Road, lane: Lane, s: float, default: float) -> float:
     """Return the posted limit (m/s): the lane's, else the road's, else `default`."""
     for records in (lane.speeds, road.speeds):
-        valid = [record for record in records if record.s <= s + 1e-6]
-        if valid:
-            return valid[-1].limit or default
+        place = bisect_right(records, s + 1e-6, key=lambda record: record.s)
+        if place:
+            return records[place - 1].limit or default
     return default
 
 
@@ -92,6 +125,18 @@ def elevation_at(road: Road, s: float) -> float:
     """Return the reference line's height (m)."""
     record = record_at(road.elevations, s) or (road.elevations[0] if road.elevations else None)
     return record.at(s) if record is not None else 0.0
+
+
+def check_heights(content: OpenDrive, road: Road) -> None:
+    """Note where a road's height steps; what stands for it later is a slope. Raises `MapError`: too high."""
+    for record, following in itertools.pairwise(road.elevations):
+        step = abs(following.a - record.at(following.s)) if following.s > record.s else 0.0
+        if step > LARGEST_STEP:
+            place = f"at s = {following.s:.2f} m, at most {LARGEST_STEP} m may be"
+            message = f"its height steps by {step:.3f} m {place}"
+            raise content.error(road.id, None, following.line, message)
+        if step > STEP:
+            content.note("a step in a road's height was bridged", road.id, None, following.line, step)
 
 
 def climbs_evenly(road: Road, start: float, end: float, tolerance: float) -> bool:
@@ -127,7 +172,7 @@ def _value(record: Cubic | None, stations: Floats) -> tuple[Floats, bool]:
 
 def _narrow_limit(lane: Lane, section: LaneSection) -> float:
     if not lane.widths or (len(lane.widths) == 1 and lane.widths[0].is_constant):
-        return -math.inf
+        return _LEAST
     stations = np.linspace(section.s, section.end, 17)
     widest = max(_width_at(lane, float(s)) for s in stations)
     return min(NARROWEST, _NARROW_SHARE * widest)
@@ -140,9 +185,9 @@ def _width_at(lane: Lane, s: float) -> float:
 
 def _narrow_ends(lane: Lane, section: LaneSection) -> list[float]:
     """Return the stations where a lane becomes wide or narrow enough, found by bisection."""
-    limit = _narrow_limit(lane, section)
-    if limit == -math.inf:
+    if not lane.widths or (len(lane.widths) == 1 and lane.widths[0].is_constant):
         return []
+    limit = _narrow_limit(lane, section)
     stations = [float(s) for s in np.linspace(section.s, section.end, 65)]
     found = []
     for low, high in itertools.pairwise(stations):

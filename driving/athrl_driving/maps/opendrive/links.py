@@ -1,43 +1,38 @@
 """Which lane leads to which: within a road, from road to road, and into junctions."""
 
 import itertools
-import logging
-import math
 from collections.abc import Iterable
 
-from athrl_driving.maps.opendrive.model import Connection, JunctionRecord, MapError, OpenDrive, Road
-from athrl_driving.maps.opendrive.strips import LanePiece, Strip
+from athrl_driving.maps.opendrive.bounds import MOST_LANES_BESIDE
+from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
+from athrl_driving.maps.opendrive.connections import NO_ROAD, Ends, LaneEnd, connected_lanes
+from athrl_driving.maps.opendrive.model import OpenDrive, Road
 
-LINK_GAP = 0.01
-"""Metres: the greatest jump from a lane's end to the start of the lane that follows."""
-
-_log = logging.getLogger(__name__)
-
-Ends = dict[tuple[str, str, int], tuple[LanePiece, bool]]
-"""(road, "start" or "end", lane id) -> the lane's piece there, and whether vehicles leave the road there."""
+_NO_LANE = "a link to a lane that is not there was passed over"
+_NO_JUNCTION = "a link to a junction that is not in the file was passed over"
 
 
-def link_within(content: OpenDrive, road: Road, strips: list[Strip]) -> None:
-    """Link the pieces of each lane along a road, and check that the lanes that are linked exist."""
-    _check_lanes(content, road)
-    for first, second in itertools.pairwise(strips):
+def link_within(content: OpenDrive, road: Road, carriageways: list[Carriageway]) -> None:
+    """Link the segments of each lane along a road, and note links to lanes that do not exist."""
+    _note_missing_lanes(content, road)
+    for first, second in itertools.pairwise(carriageways):
         touching = first.end == second.start if first.forward else second.end == first.start
         if first.forward != second.forward or not touching:
             continue
-        for piece in first.lanes:
-            piece.successors = [other for other in second.lanes if _continues_in(road, piece, other)]
+        for segment in first.lanes:
+            segment.successors = [other for other in second.lanes if _continues_in(road, segment, other)]
 
 
-def _continues_in(road: Road, piece: LanePiece, other: LanePiece) -> bool:
-    (section, lane), (next_section, next_lane) = piece.keys[-1], other.keys[0]
+def _continues_in(road: Road, segment: LaneSegment, other: LaneSegment) -> bool:
+    (section, lane), (next_section, next_lane) = segment.keys[-1], other.keys[0]
     if section == next_section:
         return lane == next_lane
-    before, after = (piece, other) if section < next_section else (other, piece)
+    before, after = (segment, other) if section < next_section else (other, segment)
     lower, upper = before.lane, after.lane
     return upper.id in lower.successors or lower.id in upper.predecessors
 
 
-def _check_lanes(content: OpenDrive, road: Road) -> None:
+def _note_missing_lanes(content: OpenDrive, road: Road) -> None:
     sections = road.sections
     for number, section in enumerate(sections):
         for lane in section.lanes.values():
@@ -48,24 +43,22 @@ def _check_lanes(content: OpenDrive, road: Road) -> None:
                     continue
                 for target in ids:
                     if target not in sections[other].lanes:
-                        where = f"the section at s = {sections[other].s:.2f} m"
-                        message = f"it is linked to lane {target} of {where}, which has no such lane"
-                        raise content.error(road.id, lane.id, lane.line, message)
+                        content.note(_NO_LANE, road.id, lane.id, lane.line)
 
 
-def road_ends(strips: Iterable[Strip]) -> Ends:
-    """Return the pieces that reach the ends of their roads."""
+def road_ends(carriageways: Iterable[Carriageway]) -> Ends:
+    """Return the segments that reach the ends of their roads."""
     ends: Ends = {}
-    for strip in strips:
-        road = strip.road
-        if strip.start <= 1e-6:
-            for piece in strip.lanes:
-                key = piece.keys[0 if strip.forward else -1]
-                ends[road.id, "start", key[1]] = (piece, not strip.forward)
-        if strip.end >= road.sections[-1].end - 1e-6:
-            for piece in strip.lanes:
-                key = piece.keys[-1 if strip.forward else 0]
-                ends[road.id, "end", key[1]] = (piece, strip.forward)
+    for carriageway in carriageways:
+        road = carriageway.road
+        if carriageway.start <= 1e-6:
+            for segment in carriageway.lanes:
+                key = segment.keys[0 if carriageway.forward else -1]
+                ends[road.id, "start", key[1]] = (segment, not carriageway.forward)
+        if carriageway.end >= road.sections[-1].end - 1e-6:
+            for segment in carriageway.lanes:
+                key = segment.keys[-1 if carriageway.forward else 0]
+                ends[road.id, "end", key[1]] = (segment, carriageway.forward)
     return ends
 
 
@@ -73,84 +66,41 @@ def link_roads(content: OpenDrive, ends: Ends) -> None:
     """Link the lanes of different roads, as the roads' links and the junctions' connections say."""
     for road in content.roads.values():
         for end, link in (("start", road.predecessor), ("end", road.successor)):
-            if link is None or link.is_junction:
+            if link is None:
+                continue
+            if link.is_junction:
+                if link.id not in content.junctions:
+                    content.note(_NO_JUNCTION, road.id, None, link.line)
                 continue
             if link.id not in content.roads:
-                raise content.error(
-                    road.id, None, link.line, f"it is linked to road {link.id}, which is not there"
-                )
+                content.note(NO_ROAD, road.id, None, link.line)
+                continue
             section = road.sections[0 if end == "start" else -1]
             for lane in section.lanes.values():
                 targets = lane.predecessors if end == "start" else lane.successors
                 for target in targets if lane.drives else ():
                     place = (road.id, end, lane.id)
                     _link(content, ends, place, (link.id, link.contact, target), lane.line)
-    for junction in content.junctions.values():
-        for connection in junction.connections:
-            _link_connection(content, ends, junction, connection)
+    for first, second, line in connected_lanes(content, ends):
+        _link(content, ends, first, second, line)
 
 
-def _link_connection(
-    content: OpenDrive, ends: Ends, junction: JunctionRecord, connection: Connection
-) -> None:
-    for road in (connection.incoming, connection.connecting):
-        if road not in content.roads:
-            message = f"junction {junction.id}, line {connection.line}: there is no road {road}"
-            raise MapError(f"{content.name}: {message}")
-    contact = _incoming_end(content, junction, connection)
-    for origin, target, line in connection.lane_links:
-        _link(
-            content,
-            ends,
-            (connection.incoming, contact, origin),
-            (connection.connecting, connection.contact, target),
-            line,
-        )
-
-
-def _incoming_end(content: OpenDrive, junction: JunctionRecord, connection: Connection) -> str:
-    """Return the end of the incoming road that touches the connecting road."""
-    connecting = content.roads[connection.connecting]
-    link = connecting.predecessor if connection.contact == "start" else connecting.successor
-    if link is not None and not link.is_junction and link.id == connection.incoming:
-        return link.contact
-    incoming = content.roads[connection.incoming]
-    successor = incoming.successor
-    return "end" if successor and successor.is_junction and successor.id == junction.id else "start"
-
-
-def _link(
-    content: OpenDrive, ends: Ends, first: tuple[str, str, int], second: tuple[str, str, int], line: int
-) -> None:
+def _link(content: OpenDrive, ends: Ends, first: LaneEnd, second: LaneEnd, line: int) -> None:
     """Link two lanes at the ends of their roads in the direction in which vehicles drive."""
     for road, end, lane in (first, second):
         if lane not in content.roads[road].sections[0 if end == "start" else -1].lanes:
-            other = second if (road, end, lane) == first else first
-            message = (
-                f"it is linked to lane {other[2]} of road {other[0]}, but has no lane {lane} at its {end}"
-            )
-            raise content.error(road, lane, line, message)
+            content.note(_NO_LANE, first[0], first[2], line)
+            return
     if first not in ends or second not in ends:
         return
-    (piece, leaves), (other_piece, other_leaves) = ends[first], ends[second]
+    (segment, leaves), (other_segment, other_leaves) = ends[first], ends[second]
     if leaves == other_leaves:
-        _log.info(
-            "%s: line %d: lane %d of road %s and lane %d of road %s meet head on",
-            content.name,
-            line,
-            first[2],
-            first[0],
-            second[2],
-            second[0],
-        )
+        place = f"line {line}: lane {first[2]} of road {first[0]} and lane {second[2]} of road {second[0]}"
+        content.findings.add("lanes that meet head on were not linked", place)
         return
-    before, after = (piece, other_piece) if leaves else (other_piece, piece)
+    before, after = (segment, other_segment) if leaves else (other_segment, segment)
     if any(after is known for known in before.successors):
         return
-    x, y, _ = before.at(before.length)
-    gap = math.hypot(x - after.x, y - after.y)
-    if gap > LINK_GAP:
-        target = f"lane {second[2]} of road {second[0]}"
-        message = f"it ends {gap:.3f} m from {target}, which it is linked to; {LINK_GAP} m are allowed"
-        raise content.error(first[0], first[2], line, message)
+    if len(before.successors) >= MOST_LANES_BESIDE:
+        raise content.error(first[0], first[2], line, f"a lane leads to more than {MOST_LANES_BESIDE} lanes")
     before.successors.append(after)

@@ -1,27 +1,27 @@
-"""Joining strips that are one piece of road: sections often begin where nothing changes for a vehicle."""
+"""Joins carriageways that are one: sections often begin where nothing changes for a vehicle."""
 
 import math
 
+from athrl_driving.maps.opendrive.carriageways import ELEVATION_TOLERANCE, Carriageway, LaneSegment
 from athrl_driving.maps.opendrive.cross_section import climbs_evenly
-from athrl_driving.maps.opendrive.strips import ELEVATION_TOLERANCE, LanePiece, Strip
 
 SHORTEST = 0.03
-"""Metres: shorter strips carry nothing; their length is added to a neighbour."""
+"""Metres: shorter carriageways are removed; their length is added to a neighbour."""
 
 _JOINT = 0.001
 _SAME_CURVATURE = 1e-6
 
 
-def merged(strips: list[Strip]) -> list[Strip]:
-    """Return the strips of one road, those that continue each other on the same line or arc joined."""
-    result: list[Strip] = []
-    for strip in strips:
-        if not result or not _join(result[-1], strip):
-            result.append(strip)
+def merged(carriageways: list[Carriageway]) -> list[Carriageway]:
+    """Return the carriageways of one road; those that continue on the same line or arc are joined."""
+    result: list[Carriageway] = []
+    for carriageway in carriageways:
+        if not result or not _join(result[-1], carriageway):
+            result.append(carriageway)
     return result
 
 
-def _join(first: Strip, second: Strip) -> bool:
+def _join(first: Carriageway, second: Carriageway) -> bool:
     """Add `second` to `first` where that is possible, and tell whether it was."""
     if first.forward != second.forward or len(first.lanes) != len(second.lanes):
         return False
@@ -47,15 +47,15 @@ def _join(first: Strip, second: Strip) -> bool:
     return True
 
 
-def _start_from(short: LanePiece, piece: LanePiece) -> None:
-    """Let a very short piece take the line or arc of the one that follows."""
-    x, y, heading = piece.at(-short.length)
-    short.x, short.y, short.heading, short.curvature = x, y, heading, piece.curvature
-    short.width, short.limit, short.lane = piece.width, piece.limit, piece.lane
-    short.may_left, short.may_right = piece.may_left, piece.may_right
+def _start_from(short: LaneSegment, segment: LaneSegment) -> None:
+    """Give a very short segment the line or arc of the one that follows."""
+    x, y, heading = segment.at(-short.length)
+    short.x, short.y, short.heading, short.curvature = x, y, heading, segment.curvature
+    short.width, short.limit, short.lane = segment.width, segment.limit, segment.lane
+    short.may_left, short.may_right = segment.may_left, segment.may_right
 
 
-def _continues(a: LanePiece, b: LanePiece) -> bool:
+def _continues(a: LaneSegment, b: LaneSegment) -> bool:
     """Tell whether one line or arc, and one set of properties, stands for both."""
     if (a.may_left, a.may_right) != (b.may_left, b.may_right) or a.limit != b.limit:
         return False

@@ -1,6 +1,6 @@
-"""What an OpenDRIVE file says, as far as lanes for driving need it.
+"""What an OpenDRIVE file says, as far as driving lanes need it.
 
-Everything keeps the line of the file it was read from, so that an error can name the place. Coordinates and
+Every record keeps the line of the file it was read from, so that an error can name the place. Coordinates and
 stations are the file's: x and y in metres with y to the left of x, headings in radians and counter-clockwise,
 `s` metres along a road's reference line, `t` metres to its left.
 """
@@ -9,16 +9,22 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from athrl_driving.errors import DrivingError
+from athrl_driving.maps.findings import Findings, MapError
+from athrl_driving.maps.opendrive.bounds import (
+    MOST_LIGHTS,
+    MOST_PIECES,
+    PIECES_OF_A_ROAD,
+    PIECES_PER_FORMULA,
+    PIECES_PER_METRE,
+)
 
 DRIVING_TYPES = frozenset(
-    {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "mwyEntry", "mwyExit"}
-)
+    {
+        "driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "mwyEntry", "mwyExit",
+        "shared",
+    }
+)  # fmt: skip
 """Lane types that vehicles drive on; all others are left out."""
-
-
-class MapError(DrivingError):
-    """A map that cannot be driven on: one line that names the file, the road, the lane and the line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +56,20 @@ def record_at(records: Sequence[Cubic], s: float) -> Cubic | None:
 
 
 @dataclass(frozen=True, slots=True)
+class Bend:
+    """How a part of a reference line is moved to meet its neighbours: by less and less towards its other end.
+
+    `start` and `end` are (m, m) that its ends are moved by, `span` is the metres between them.
+    """
+
+    span: float
+    start: tuple[float, float] = (0.0, 0.0)
+    end: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Geometry:
-    """A piece of a reference line; `parameters` by name, in the order of OpenDRIVE's attributes.
+    """A part of a reference line; `parameters` in the order of OpenDRIVE's attributes.
 
     `kind` is line, arc (curvature), spiral (curvStart, curvEnd), poly3 (a, b, c, d) or paramPoly3
     (aU, bU, cU, dU, aV, bV, cV, dV, and normalized: 1.0 where the parameter runs from 0 to 1).
@@ -65,11 +83,13 @@ class Geometry:
     kind: str
     parameters: tuple[float, ...]
     line: int
+    bend: Bend | None = None
+    """Where a gap beside it was bridged."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaneMark:
-    """From `s` metres into the section on: may one change to the lane of the higher or the lower id?"""
+    """From `s` metres into the section on: whether vehicles may change to the lane of higher or lower id."""
 
     s: float
     increase: bool
@@ -107,7 +127,7 @@ class Lane:
 
 @dataclass(slots=True, eq=False)
 class LaneSection:
-    """A stretch of road with the same lanes; `lanes` by id, without the centre lane."""
+    """A section of road with the same lanes; `lanes` by id, without the centre lane."""
 
     s: float
     end: float
@@ -127,13 +147,21 @@ class RoadLink:
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A traffic light beside a road; `lanes` are the ids (first, last) it holds for, empty for all."""
+    """A traffic light where it holds for a road, its own or one of another road that it refers to.
+
+    `lanes` are the ids (first, last) it holds for, empty for all. `orientation` is "+" or "-" where it holds
+    for the traffic along growing or falling stations only.
+    """
 
     id: str
     s: float
     orientation: str
     lanes: tuple[tuple[int, int], ...]
     line: int
+
+    def holds_for(self, lane: int) -> bool:
+        """Tell whether it holds for the lane with this id; no lane has the id 0."""
+        return not self.lanes or any(first <= lane <= last for first, last in self.lanes)
 
 
 @dataclass(slots=True, eq=False)
@@ -153,11 +181,14 @@ class Road:
     offsets: list[Cubic]
     sections: list[LaneSection]
     signals: list[Signal]
+    """The traffic lights that hold for it."""
     line: int
+    references: list[Signal] = field(default_factory=list)
+    """Signals of all kinds, on any road, that hold for it too."""
 
     @property
     def in_junction(self) -> bool:
-        """Whether it is a way through a junction."""
+        """Whether it is a connecting road of a junction."""
         return self.junction != "-1"
 
     def drives_forward(self, lane: Lane) -> bool:
@@ -168,13 +199,17 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A way into a junction: from a road on a connecting road, with pairs of lane ids (from, to)."""
+    """A connection of a junction: from an incoming road to a connecting road, with lane ids (from, to).
+
+    In a direct junction `connecting` is the road that the incoming road is linked to. `contact` is the end of
+    it that touches the incoming road, empty where the file does not say.
+    """
 
     incoming: str
     connecting: str
     contact: str
-    lane_links: tuple[tuple[int, int, int], ...]
-    """(from, to, line of the file)."""
+    lane_links: tuple[tuple[int, int, int], ...] | None
+    """(from, to, line of the file); None where lanes with the same id are linked."""
     line: int
 
 
@@ -184,6 +219,8 @@ class JunctionRecord:
 
     id: str
     name: str
+    type: str
+    """As the file has it: "direct", "virtual", "crossing"; all others are common junctions."""
     connections: list[Connection]
     priorities: list[tuple[str, str]]
     controllers: list[str]
@@ -197,9 +234,51 @@ class OpenDrive:
     name: str
     roads: dict[str, Road]
     junctions: dict[str, JunctionRecord]
+    findings: Findings
+    """Faults that did not stop the file from being read."""
     controllers: dict[str, list[str]] = field(default_factory=dict)
+    other_signals: set[str] = field(default_factory=set)
+    """Ids of the signals that are no traffic lights for vehicles."""
+    lights: int = 0
+    """Counted so far, in the unit of `MOST_LIGHTS`."""
+    pieces: int = 0
+    """Counted so far, in the unit of `MOST_PIECES`."""
+    allowed: int = 0
+    """Pieces that the road which is being cut may still have."""
+    revision: str = ""
+    """Of OpenDRIVE, such as "1.6"; empty where the file does not tell."""
+
+    def begin_road(self, road: "Road", cuts: int) -> None:
+        """Allow a road, which has so many formulas, as many pieces as the bends of a road can need."""
+        self.allowed = PIECES_OF_A_ROAD + int(PIECES_PER_METRE * road.length) + PIECES_PER_FORMULA * cuts
+
+    def count_piece(self, road: "Road", lanes: int) -> None:
+        """Count a piece of a road with so many lanes; raises `MapError` if there are too many."""
+        self.allowed -= 1
+        self.pieces += lanes + 10  # what a piece takes beside its lanes
+        if self.allowed < 0 or self.pieces > MOST_PIECES:
+            what = (
+                "it bends, rises or widens too often"
+                if self.allowed < 0
+                else "the map is too long up to here"
+            )
+            raise self.error(road.id, None, road.line, f"{what}: it would have too many pieces")
+
+    def count_light(self, light: Signal) -> None:
+        """Count a traffic light or a reference; raises `MapError` if there are too many."""
+        self.lights += 1 + len(light.lanes)
+        if self.lights > MOST_LIGHTS:
+            what = f"more than {MOST_LIGHTS:,} traffic lights, references to signals and ranges of lanes"
+            raise MapError(f"{self.name}: line {light.line}: it has {what} up to here")
 
     def error(self, road: str, lane: int | None, line: int, message: str) -> MapError:
         """Return the error for a place in the file."""
-        place = f"road {road}" + (f", lane {lane}" if lane is not None else "")
-        return MapError(f"{self.name}: {place}, line {line}: {message}")
+        return MapError(f"{self.name}: {_place(road, lane, line)}: {message}")
+
+    def note(self, kind: str, road: str, lane: int | None, line: int, metres: float | None = None) -> None:
+        """Note a fault at a place in the file. Raises `MapError` where the file is read strictly."""
+        self.findings.add(kind, _place(road, lane, line), metres)
+
+
+def _place(road: str, lane: int | None, line: int) -> str:
+    return f"road {road}, line {line}" if lane is None else f"road {road}, lane {lane}, line {line}"

@@ -1,15 +1,15 @@
-"""Reading a road's lane sections."""
+"""Reads a road's lane sections."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import itertools
 
 from lxml import etree  # type: ignore[import-untyped]
 
-from athrl_driving.maps.opendrive.model import Lane, LaneMark, LaneSection
-
-if TYPE_CHECKING:
-    from athrl_driving.maps.opendrive.reading import Reader
+from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_GAP, MOST_LANES_BESIDE
+from athrl_driving.maps.opendrive.element_reader import ElementReader
+from athrl_driving.maps.opendrive.model import Cubic, Lane, LaneMark, LaneSection
+from athrl_driving.maps.opendrive.sections import with_both_sides, without_empty
 
 _LANE_CHANGES = {
     "both": (True, True),
@@ -21,21 +21,39 @@ _CROSSED_TYPES = frozenset({"broken", "none", "broken broken", "botts dots"})
 """Marks that may be crossed where the file does not say whether."""
 
 
-def read_sections(reader: Reader, lanes: etree._Element, length: float) -> list[LaneSection]:
-    """Return a road's sections in order, each with its end."""
-    sections = [_read_section(reader, element) for element in lanes.iterchildren("laneSection")]
+def read_sections(reader: ElementReader, road: etree._Element, length: float) -> list[LaneSection]:
+    """Return a road's sections in order, each with its end; one without lanes where the file has none."""
+    elements = list(road.iterfind("lanes/laneSection"))
+    sections = [_read_section(reader, element) for element in elements]
     if not sections:
-        raise reader.error(lanes, "its <lanes> has no <laneSection>")
-    sections.sort(key=lambda section: section.s)
-    for section, following in zip(sections, [*sections[1:], None], strict=True):
+        reader.note(road, "a road without lanes was left out")
+        return [LaneSection(0.0, length, {}, road.sourceline or 0)]
+    single = [element.get("singleSide") == "true" for element in elements]
+    order = sorted(range(len(sections)), key=lambda place: sections[place].s)
+    sections = with_both_sides([sections[place] for place in order], [single[place] for place in order])
+    _begin_with_road(reader, road, sections[0])
+    for section, following in itertools.zip_longest(sections, sections[1:]):
         section.end = length if following is None else following.s
-        if section.end < section.s - 1e-6:
-            raise reader.error(lanes, f"a <laneSection> starts at {section.s} m, the road ends at {length} m")
-    return sections
+        beyond = section.s - section.end
+        if round(beyond, 3) > LARGEST_GAP:
+            message = f"a <laneSection> starts at {section.s:.3f} m, the road ends at {length:.3f} m"
+            raise reader.error(road, message)
+        if beyond > GAP:
+            reader.note(road, "a lane section behind the end of its road was passed over", beyond)
+    return without_empty(sections)
 
 
-def _read_section(reader: Reader, element: etree._Element) -> LaneSection:
-    begin = reader.number(element, "s")
+def _begin_with_road(reader: ElementReader, road: etree._Element, first: LaneSection) -> None:
+    """Let the first section begin at 0, as it must."""
+    if round(first.s, 3) > LARGEST_GAP:
+        raise reader.error(road, f"its first <laneSection> starts at {first.s:.3f} m, it must start at 0 m")
+    if first.s > GAP:
+        reader.note(road, "a road's first lane section was taken to begin with the road", first.s)
+    first.s = 0.0
+
+
+def _read_section(reader: ElementReader, element: etree._Element) -> LaneSection:
+    begin = reader.station(element, "s")
     lanes: dict[int, Lane] = {}
     for side in element:
         if side.tag not in ("left", "right"):
@@ -48,10 +66,15 @@ def _read_section(reader: Reader, element: etree._Element) -> LaneSection:
                 raise reader.error(child, f"there are two lanes with the id {lane.id}")
             lanes[lane.id] = lane
             reader.lane = None
+    if len(lanes) > MOST_LANES_BESIDE:
+        message = (
+            f"a <laneSection> has {len(lanes)} lanes, at most {MOST_LANES_BESIDE} may be beside each other"
+        )
+        raise reader.error(element, message)
     return LaneSection(begin, begin, lanes, element.sourceline or 0)
 
 
-def _read_lane(reader: Reader, element: etree._Element, begin: float) -> Lane:
+def _read_lane(reader: ElementReader, element: etree._Element, begin: float) -> Lane:
     reader.lane = reader.whole(element, "id")
     widths = reader.cubics(element.iterchildren("width"), "sOffset", begin)
     borders = reader.cubics(element.iterchildren("border"), "sOffset", begin)
@@ -61,30 +84,55 @@ def _read_lane(reader: Reader, element: etree._Element, begin: float) -> Lane:
         direction=element.get("direction", "standard"),
         widths=widths,
         borders=borders,
-        predecessors=[reader.whole(link, "id") for link in element.iterfind("link/predecessor")],
-        successors=[reader.whole(link, "id") for link in element.iterfind("link/successor")],
+        predecessors=_read_links(reader, element, "link/predecessor"),
+        successors=_read_links(reader, element, "link/successor"),
         marks=[],
         speeds=[],
         line=element.sourceline or 0,
     )
-    if not widths and not borders:
-        raise reader.error(element, "it has neither <width> nor <border>")
-    if (widths or borders)[0].s > begin + 0.01:
-        raise reader.error(element, "its first <width> or <border> does not start with the section")
+    _complete_widths(reader, element, lane, begin)
     if lane.drives:
         lane.marks = [_read_mark(reader, mark, begin) for mark in element.iterchildren("roadMark")]
         lane.speeds = [
-            reader.speed(speed, begin + reader.number(speed, "sOffset"))
-            for speed in element.iterchildren("speed")
+            reader.speed(speed, begin + reader.offset(speed)) for speed in element.iterchildren("speed")
         ]
+        lane.marks.sort(key=lambda mark: mark.s)
+        lane.speeds.sort(key=lambda limit: limit.s)
+    if max(len(lane.predecessors), len(lane.successors)) > MOST_LANES_BESIDE:
+        raise reader.error(element, f"it is linked to more than {MOST_LANES_BESIDE} lanes")
     return lane
 
 
-def _read_mark(reader: Reader, element: etree._Element, begin: float) -> LaneMark:
-    change = element.get("laneChange")
-    if change is None:
-        allowed = element.get("type", "none") in _CROSSED_TYPES
-        return LaneMark(begin + reader.number(element, "sOffset"), allowed, allowed)
-    if change not in _LANE_CHANGES:
-        raise reader.error(element, f"laneChange is {change!r}, it must be one of {', '.join(_LANE_CHANGES)}")
-    return LaneMark(begin + reader.number(element, "sOffset"), *_LANE_CHANGES[change])
+def _read_links(reader: ElementReader, lane: etree._Element, path: str) -> list[int]:
+    links = list(lane.iterfind(path))
+    named = [link for link in links if link.get("id")]
+    if len(named) < len(links):
+        reader.note(lane, "a link that does not say where it leads was passed over")
+    return [reader.whole(link, "id") for link in named]
+
+
+def _complete_widths(reader: ElementReader, element: etree._Element, lane: Lane, begin: float) -> None:
+    """Let the lane have a width from the start of its section on."""
+    records = lane.widths or lane.borders
+    if not records:
+        reader.note(element, "a lane without a width was taken as 0 m wide")
+        lane.widths = [Cubic(begin, 0.0, 0.0, 0.0, 0.0, lane.line)]
+        return
+    late = records[0].s - begin
+    if round(late, 3) > LARGEST_GAP:
+        message = (
+            f"its first <width> or <border> starts {late:.3f} m behind its section, it must start with it"
+        )
+        raise reader.error(element, message)
+    if late > GAP:
+        reader.note(element, "a lane's first width was taken from the start of its section on", late)
+
+
+def _read_mark(reader: ElementReader, element: etree._Element, begin: float) -> LaneMark:
+    change, s = element.get("laneChange"), begin + reader.offset(element)
+    if change in _LANE_CHANGES:
+        return LaneMark(s, *_LANE_CHANGES[change])
+    if change is not None:
+        reader.note(element, "a laneChange that does not exist was passed over")
+    allowed = element.get("type", "none") in _CROSSED_TYPES
+    return LaneMark(s, allowed, allowed)

@@ -2,17 +2,15 @@
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.maps.opendrive.model import Geometry, OpenDrive, Road
+from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_GAP, MOST_TURN, SHARE_OF_GAP
+from athrl_driving.maps.opendrive.model import Bend, Geometry, OpenDrive, Road
 
 Floats = NDArray[np.float64]
-
-GAP = 0.01
-"""Metres by which a reference line may jump from one geometry to the next."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _SPIRAL_STEP = 0.25
@@ -31,6 +29,8 @@ class Poses:
 
 def curvature_of(geometry: Geometry) -> float | None:
     """Return the curvature (1/m) of a line or an arc, None for what is neither."""
+    if geometry.bend is not None:
+        return None
     if geometry.kind == "line":
         return 0.0
     return geometry.parameters[0] if geometry.kind == "arc" else None
@@ -38,9 +38,10 @@ def curvature_of(geometry: Geometry) -> float | None:
 
 def geometry_poses(geometry: Geometry, ds: Floats) -> Poses:
     """Return the poses `ds` metres (array [n], ascending) behind a geometry's start."""
-    curvature = curvature_of(geometry)
-    if curvature is not None:
-        u, v, turned = _arc(curvature, ds)
+    if geometry.kind == "line":
+        u, v, turned = _arc(0.0, ds)
+    elif geometry.kind == "arc":
+        u, v, turned = _arc(geometry.parameters[0], ds)
     elif geometry.kind == "spiral":
         u, v, turned = _spiral(geometry, ds)
     elif geometry.kind == "poly3":
@@ -48,7 +49,17 @@ def geometry_poses(geometry: Geometry, ds: Floats) -> Poses:
     else:
         u, v, turned = _param_poly3(geometry, ds)
     cos, sin = math.cos(geometry.heading), math.sin(geometry.heading)
-    return Poses(geometry.x + u * cos - v * sin, geometry.y + u * sin + v * cos, geometry.heading + turned)
+    x, y = geometry.x + u * cos - v * sin, geometry.y + u * sin + v * cos
+    if geometry.bend is not None:
+        x, y = _bent(geometry.bend, x, y, ds)
+    return Poses(x, y, geometry.heading + turned)
+
+
+def _bent(bend: Bend, x: Floats, y: Floats, ds: Floats) -> tuple[Floats, Floats]:
+    """Move points as a bend says. Headings stay, so that lanes are moved by as much as their line."""
+    share = ds / bend.span
+    (start_x, start_y), (end_x, end_y) = bend.start, bend.end
+    return x + start_x + share * (end_x - start_x), y + start_y + share * (end_y - start_y)
 
 
 def geometry_at(road: Road, s: float) -> Geometry:
@@ -57,20 +68,56 @@ def geometry_at(road: Road, s: float) -> Geometry:
     return road.geometries[max(place - 1, 0)]
 
 
-def check_reference_line(content: OpenDrive, road: Road) -> None:
-    """Raise `MapError` where a road's reference line has a gap or does not cover its length."""
-    last = road.geometries[-1]
-    if road.geometries[0].s > GAP or abs(last.s + last.length - road.length) > 0.1:
-        covered = f"{road.geometries[0].s:.3f} to {last.s + last.length:.3f} m"
-        message = f"the reference line goes from {covered}, the road is {road.length:.3f} m long"
-        raise content.error(road.id, None, road.line, message)
-    for geometry, following in zip(road.geometries, road.geometries[1:], strict=False):
+def close_reference_line(content: OpenDrive, road: Road) -> None:
+    """Bend the parts of a road's reference line to each other where it jumps a little.
+
+    The longer of two parts is bent: its points are moved, by the whole jump at the joint and by nothing at
+    its other end. Raises `MapError` where the jump is too large.
+    """
+    _check_turns(content, road)
+    for place in range(len(road.geometries) - 1):
+        geometry, following = road.geometries[place], road.geometries[place + 1]
         end = geometry_poses(geometry, np.array([following.s - geometry.s]))
-        gap = math.hypot(end.x[0] - following.x, end.y[0] - following.y)
-        if gap > GAP:
-            where = f"at s = {following.s:.3f} m"
-            message = f"the reference line jumps by {gap:.3f} m {where}, at most {GAP} m is allowed"
+        jump = (following.x - float(end.x[0]), following.y - float(end.y[0]))
+        gap = math.hypot(*jump)
+        if gap <= GAP:
+            continue
+        behind = road.geometries[place + 2].s if place + 2 < len(road.geometries) else road.length
+        spans = following.s - geometry.s, behind - following.s
+        if round(gap, 3) > min(LARGEST_GAP, SHARE_OF_GAP * max(spans)):
+            message = f"the reference line jumps by {gap:.3f} m at s = {following.s:.3f} m, {_allowed(spans)}"
             raise content.error(road.id, None, following.line, message)
+        content.note("a gap in the reference line was bridged", road.id, None, following.line, gap)
+        _meet(road, place, jump, spans)
+
+
+def _meet(road: Road, place: int, jump: tuple[float, float], spans: tuple[float, float]) -> None:
+    """Bend the longer of the geometries `place` and `place` + 1, so that they meet."""
+    geometry, following = road.geometries[place], road.geometries[place + 1]
+    if spans[0] >= spans[1]:
+        bend = replace(geometry.bend or Bend(spans[0]), end=jump)
+        road.geometries[place] = replace(geometry, bend=bend)
+    else:
+        bend = Bend(spans[1], start=(-jump[0], -jump[1]))
+        road.geometries[place + 1] = replace(following, bend=bend)
+
+
+def _allowed(spans: tuple[float, float]) -> str:
+    share = SHARE_OF_GAP * max(spans)
+    if share >= LARGEST_GAP:
+        return f"at most {LARGEST_GAP} m may be"
+    return f"at most {share:.3f} m may be beside parts of {spans[0]:.3f} and {spans[1]:.3f} m"
+
+
+def _check_turns(content: OpenDrive, road: Road) -> None:
+    """Refuse lines and arcs that turn round and round: each turn is several pieces."""
+    ends = [*(geometry.s for geometry in road.geometries[1:]), road.length]
+    for geometry, end in zip(road.geometries, ends, strict=True):
+        curvatures = geometry.parameters if geometry.kind in ("arc", "spiral") else (0.0,)
+        turn = max(abs(curvature) for curvature in curvatures) * max(geometry.length, end - geometry.s)
+        if turn > MOST_TURN:
+            message = f"its <{geometry.kind}> turns by up to {turn:,.0f} rad, at most {MOST_TURN:g} may be"
+            raise content.error(road.id, None, geometry.line, message)
 
 
 def _arc(curvature: float, ds: Floats) -> tuple[Floats, Floats, Floats]:

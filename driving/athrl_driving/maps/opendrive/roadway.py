@@ -3,40 +3,42 @@
 from collections import Counter
 from dataclasses import dataclass
 
+from athrl_driving.maps.opendrive.carriageways import Carriageway, carriageways_of
+from athrl_driving.maps.opendrive.gaps import close_gaps
 from athrl_driving.maps.opendrive.links import link_roads, link_within, road_ends
 from athrl_driving.maps.opendrive.merging import merged
 from athrl_driving.maps.opendrive.model import MapError, OpenDrive
-from athrl_driving.maps.opendrive.strips import Strip, road_strips
 
 
 @dataclass(frozen=True, slots=True)
 class Roadway:
-    """The strips of all roads, and what the file holds before anything is left out."""
+    """The carriageways of all roads, and what the file holds before anything is left out."""
 
     content: OpenDrive
-    strips: list[Strip]
+    carriageways: list[Carriageway]
     lane_kilometres: float
     """Of all driving lanes, in junctions too, measured along the reference lines."""
     junction_arms: Counter[int]
     """How many junctions have how many arms; an arm is one end of a road."""
 
 
-def lay_roadway(content: OpenDrive) -> Roadway:
+def build_roadway(content: OpenDrive) -> Roadway:
     """Return a file's driving lanes. Raises `MapError` where they cannot be driven on."""
-    strips: list[Strip] = []
+    carriageways: list[Carriageway] = []
     metres = 0.0
     for road in content.roads.values():
         metres += sum(
             (section.end - section.s) * sum(lane.drives for lane in section.lanes.values())
             for section in road.sections
         )
-        own = road_strips(content, road)
+        own = carriageways_of(content, road)
         link_within(content, road, own)
-        strips += merged(own)
-    if not strips:
+        carriageways += merged(own)
+    if not carriageways:
         raise MapError(f"{content.name}: there is no driving lane in the file")
-    link_roads(content, road_ends(strips))
-    return Roadway(content, strips, metres / 1000.0, _junction_arms(content))
+    link_roads(content, road_ends(carriageways))
+    close_gaps(content, carriageways)
+    return Roadway(content, carriageways, metres / 1000.0, _junction_arms(content))
 
 
 def _junction_arms(content: OpenDrive) -> Counter[int]:
@@ -45,6 +47,6 @@ def _junction_arms(content: OpenDrive) -> Counter[int]:
     for road in content.roads.values():
         for link, section in ((road.predecessor, road.sections[0]), (road.successor, road.sections[-1])):
             drives = any(lane.drives for lane in section.lanes.values())
-            if link is not None and link.is_junction and drives:
+            if link is not None and link.is_junction and link.id in arms and drives:
                 arms[link.id] += 1
     return Counter(arms.values())

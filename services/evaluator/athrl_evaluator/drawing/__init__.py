@@ -1,4 +1,4 @@
-"""Draw frames of an episode with rerun; the same for a live episode and for a recorded one."""
+"""Draws frames of an episode with rerun, in the same way for live and recorded episodes."""
 
 from athrl_evaluator.drawing.blueprint import make_blueprint
 from athrl_evaluator.drawing.scene import APPLICATION, SceneDrawing

@@ -1,4 +1,4 @@
-"""How the scene is laid out when it is opened."""
+"""The layout of the scene when it is opened."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from athrl_evaluator.drawing import colours
 
 TIMELINE = "simulated time"
 INTENTION = "intention"
-"""The decision that is put into words: left, straight or right."""
+"""The decision that is described in words: left, straight or right."""
 
-CAR_BOUNDS = rrb.VisualBounds2D(x_range=[-32, 32], y_range=[-42, 22])  # m; more is seen ahead than behind
+CAR_BOUNDS = rrb.VisualBounds2D(x_range=[-32, 32], y_range=[-42, 22])  # m; more is visible ahead than behind
 RECENT = rrb.VisibleTimeRange(
     TIMELINE,
     start=rrb.TimeRangeBoundary.cursor_relative(seconds=-60.0),
@@ -21,7 +21,7 @@ RECENT = rrb.VisibleTimeRange(
 
 
 def curves_of_decision(decision: Iterable[str]) -> list[str]:
-    """Which of the values that were decided get a view: the intention, and without one all of them."""
+    """The decided values that get a view: the intention, or without one all of them."""
     names = sorted(decision)
     return [INTENTION] if INTENTION in names else names
 
@@ -30,7 +30,7 @@ def make_blueprint(decided: Sequence[str] = ()) -> rrb.Blueprint:
     """Surroundings to the left, what the planner sees and the town in the middle, curves to the right.
 
     Args:
-        decided: names of what is decided that get a view each.
+        decided: names of decided values that get a view each.
     """
     background = rrb.Background(color=colours.BACKGROUND)
     surroundings = rrb.Spatial2DView(

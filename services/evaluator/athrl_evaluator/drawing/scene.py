@@ -1,4 +1,4 @@
-"""Log frames to a rerun stream."""
+"""Logs frames to a rerun stream."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from athrl_evaluator.drawing.shapes import (
 )
 
 APPLICATION = "athrl"
-NEAR = 60.0  # m; what is farther from the car is not drawn around it
+NEAR = 60.0  # m; anything farther from the car is not drawn
 LANE_RADIUS, ROAD_RADIUS = 0.08, 1.9  # m; half the width of lines
 PAUSE = 1.0  # simulated seconds between two episodes on the timeline
 
 
 class SceneDrawing:
-    """Draws one episode after the other on one timeline, which goes on where the last episode ended."""
+    """Draws one episode after another on one timeline, which continues where the last episode ended."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -42,7 +42,7 @@ class SceneDrawing:
     def draw(self, frame: Frame) -> None:
         """Log everything about one frame."""
         self._begin_episode_if_new(frame)
-        self._lay_out_what_is_decided(frame)
+        self._lay_out_decision(frame)
         self._stream.set_time(TIMELINE, duration=self._offset + frame.time)
         self._last_time = frame.time
         if frame.town != self._town:
@@ -54,14 +54,14 @@ class SceneDrawing:
         self._stream.log("episode", rr.TextDocument(_caption(frame), media_type=rr.MediaType.MARKDOWN))
 
     def _begin_episode_if_new(self, frame: Frame) -> None:
-        """Frames of another episode, or of this one from its beginning again, come later on the timeline."""
+        """Place frames of another episode, or of a repetition of this one, later on the timeline."""
         episode = (frame.driver, frame.policy_version, frame.episode_seed)
         if self._episode is not None and (episode != self._episode or frame.time <= self._last_time):
             self._offset += max(0.0, self._last_time) + PAUSE - frame.time
         self._episode = episode
 
-    def _lay_out_what_is_decided(self, frame: Frame) -> None:
-        """Have a view for each curve of the decision; a layout that has them stays as the viewer has it."""
+    def _lay_out_decision(self, frame: Frame) -> None:
+        """Add a view for each curve of the decision; a layout that has them all is not sent again."""
         curves = curves_of_decision(frame.decision)
         if not set(curves) <= set(self._laid_out):
             self._laid_out = list(dict.fromkeys([*self._laid_out, *curves]))
@@ -133,11 +133,13 @@ class SceneDrawing:
 
     def _draw_images(self, frame: Frame) -> None:
         size = (frame.image_height, frame.image_width)
-        birdeye = np.frombuffer(frame.birdeye, np.uint8).reshape(*size, 3)
-        lidar = np.frombuffer(frame.lidar, np.uint8).reshape(*size, 1)
         layers = (colours.TOWN_ROAD, colours.VEHICLE_EDGE, colours.ROUTE)
-        self._stream.log("sees/birdeye", rr.Image(painted(birdeye, layers)))
-        self._stream.log("sees/lidar", rr.Image(painted(lidar, (colours.EGO_EDGE,))))
+        if frame.birdeye:  # a frame may have none
+            birdeye = np.frombuffer(frame.birdeye, np.uint8).reshape(*size, 3)
+            self._stream.log("sees/birdeye", rr.Image(painted(birdeye, layers)))
+        if frame.lidar:
+            lidar = np.frombuffer(frame.lidar, np.uint8).reshape(*size, 1)
+            self._stream.log("sees/lidar", rr.Image(painted(lidar, (colours.EGO_EDGE,))))
 
     def _draw_curves(self, frame: Frame) -> None:
         curves: dict[str, tuple[float, tuple[int, int, int]]] = {
@@ -145,7 +147,7 @@ class SceneDrawing:
             "return/return": (frame.episode_return, colours.RETURN),
             "reward/total": (frame.reward, colours.CURVE),
         }
-        if not math.isnan(frame.target_speed):  # a planner may decide none
+        if not math.isnan(frame.target_speed):  # some planners decide no target speed
             curves["speed/target"] = (frame.target_speed, colours.TARGET_SPEED)
         for name, value in frame.decision.items():
             curves[f"decision/{name}"] = (value, colours.DECISION)
@@ -174,7 +176,7 @@ def _caption(frame: Frame) -> str:
 
 
 def _in_words(decision: Mapping[str, float]) -> str:
-    """What the planner decided, for the end of the caption; nothing where there is no planner."""
+    """The planner's decision, for the end of the caption; empty without a planner."""
     intention = decision.get(INTENTION)
     if intention is not None:
         words = "left" if intention < 2 / 3 else "straight" if intention < 4 / 3 else "right"

@@ -1,4 +1,4 @@
-"""Points and outlines in the two pictures: the town as it lies, and the surroundings, heading up."""
+"""Points and outlines in the two pictures: the town in its coordinates, the surroundings with heading up."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def outlines_of(vehicles: Sequence[Vehicle]) -> np.ndarray:
 
 
 def bodies_of(vehicles: Sequence[Vehicle]) -> np.ndarray:
-    """Lines that, drawn as wide as a vehicle fill it with round ends: float64 [n, 2, 2], m in the town."""
+    """Lines that, drawn as wide as a vehicle, fill it with round ends: float64 [n, 2, 2], m in the town."""
     lines = _in_town(vehicles, np.array([(-1, 0), (1, 0)]) / 2)
     lengths = np.array([(each.length, each.width) for each in vehicles]).reshape(-1, 2)
     shortened = 1 - lengths[:, 1] / np.maximum(lengths.max(1, initial=1e-6), 1e-6)
@@ -42,7 +42,7 @@ def bodies_of(vehicles: Sequence[Vehicle]) -> np.ndarray:
 
 
 def windscreens_of(vehicles: Sequence[Vehicle]) -> np.ndarray:
-    """A line across each vehicle near its front, to tell where that is: float64 [n, 2, 2], m in the town."""
+    """A line across each vehicle near its front, to show its direction: float64 [n, 2, 2], m in the town."""
     return _in_town(vehicles, np.array([(0.22, -0.38), (0.22, 0.38)]))
 
 

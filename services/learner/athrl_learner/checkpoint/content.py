@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from athrl_learner.segments import LogPosition
+from athrl_learner.log import LogPosition
 
-#: Raised when a checkpoint is laid out differently from before.
+#: Incremented when the layout of a checkpoint changes.
 FORMAT = 4
 MANIFEST = "manifest.json"
 STATE = "state.json"
@@ -19,20 +19,20 @@ AGENT = "agent.pt"
 ACTOR = "actor.pt"
 UNFINISHED_SUFFIX = ".part"
 
-_NAME = re.compile(r"checkpoint-(\d{6,})")
+_NAME = re.compile(r"checkpoint-([0-9]{6,18})")
 
 
 @dataclass(frozen=True)
 class CheckpointContent:
-    """A learner's whole state at one moment between two updates.
+    """A learner's complete state between two updates.
 
     Attributes:
         state: JSON-able: run file, counters, limiter, ledger, the replay's order, random states.
         agent: the planner and the replay's priorities: nested dictionaries and lists of tensors and plain
             values.
-        log: where the log was, and which of its segments the replay is made of.
-        actor: of a serial run, its actor's whole state, likewise nested; None of a distributed run, whose
-            actors are processes of their own.
+        log: position in the log, and the segments that hold the replay.
+        actor: of a serial run, the complete state of its actor, nested in the same way; None of a
+            distributed run, whose actors are separate processes.
     """
 
     state: dict[str, Any]

@@ -1,7 +1,7 @@
-"""Writes checkpoints so that a kill at any moment leaves the ones before intact.
+"""Writes checkpoints so that a kill at any moment leaves the earlier ones intact.
 
-Everything goes into `<name>.part`; each file is brought to the disk, the manifest last, then the folder is
-renamed. A reader never looks into a `.part`, so it sees a whole checkpoint or none.
+Everything goes into `<name>.part`. Each file is synced to the disk, the manifest last, then the folder is
+renamed. A reader ignores `.part` folders, so it sees a complete checkpoint or none.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from athrl_learner.files import Files
 
 
 def write_checkpoint(folder: Path, content: CheckpointContent, files: Files | None = None) -> Path:
-    """Write the next checkpoint into `folder`; the segments it names have to be on the disk already.
+    """Write the next checkpoint into `folder`; the segments that it names must be on the disk already.
 
     Raises:
-        CheckpointFailed: the disk refuses; the checkpoints before are untouched.
+        CheckpointFailed: the disk reports an error; earlier checkpoints are untouched.
     """
     files = files or Files()
     numbers = [number for number, _ in numbered_checkpoints(folder)]

@@ -1,0 +1,135 @@
+"""What `athrl maps` says about a map, as lines for people or as plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from athrl_driving.inspection import MapFacts, Trial
+
+_LANES_NAMED = 5
+_CRAWLS = 0.4
+"""Share of free flow below which traffic is too dense to learn from."""
+
+
+def line_of(facts: MapFacts, suggested: int) -> str:
+    """Return one line about a town that comes along."""
+    return (
+        f"{facts.name}: {facts.lane_kilometres:.1f} km of lanes on {_extent(facts)}; "
+        f"{_junctions(facts)}; dense traffic: {_count(suggested, 'vehicle')}"
+    )
+
+
+def plain(
+    facts: MapFacts, suggested: int, trial: Trial | None = None, picture: Path | None = None
+) -> dict[str, Any]:
+    """Return the report as plain values; `trial` and `picture` are null where there is none."""
+    return {
+        **asdict(facts),
+        "suggested_vehicles": suggested,
+        "trial": None if trial is None else asdict(trial),
+        "picture": None if picture is None else str(picture),
+    }
+
+
+def table(facts: MapFacts, suggested: int, trial: Trial | None, picture: Path | None) -> Table:
+    """Return the report as a table of names and lines."""
+    result = Table(title=facts.name, show_header=False, title_justify="left")
+    result.add_column(no_wrap=True)
+    result.add_column()
+    for name, line in _lines(facts, suggested, trial, picture):
+        result.add_row(name, Text(line))
+    return result
+
+
+def _lines(
+    facts: MapFacts, suggested: int, trial: Trial | None, picture: Path | None
+) -> Iterator[tuple[str, str]]:
+    yield "file", f"OpenDRIVE {facts.opendrive or 'of an untold revision'}, {_count(facts.roads, 'road')}"
+    yield "driving lanes", f"{facts.lane_kilometres:.2f} km along their roads, on {_extent(facts)}"
+    yield "junctions", _junctions(facts)
+    yield "traffic lights", _lights(facts)
+    yield "driven", _driven(facts)
+    yield "left out", _left_out(facts)
+    for fault in facts.faults:
+        yield "fault", fault
+    yield "vehicles", _vehicles(facts, suggested)
+    if trial is not None:
+        yield "trial", _trial(trial)
+        yield from (("warning", line) for line in _warnings(trial))
+    if picture is not None:
+        yield "picture", str(picture)
+
+
+def _extent(facts: MapFacts) -> str:
+    return " x ".join(f"{metres:,.0f}" for metres in facts.extent) + " m"
+
+
+def _junctions(facts: MapFacts) -> str:
+    if not facts.junction_arms:
+        return "no junctions"
+    arms = ", ".join(f"{count} of {_count(arms, 'arm')}" for arms, count in facts.junction_arms.items())
+    return f"{_count(sum(facts.junction_arms.values()), 'junction')}: {arms}"
+
+
+def _lights(facts: MapFacts) -> str:
+    if not facts.traffic_lights:
+        return "none"
+    return f"{facts.traffic_lights} in the file, {_count(facts.driven.light_groups, 'group')} that lanes heed"
+
+
+def _driven(facts: MapFacts) -> str:
+    driven = facts.driven
+    text = f"{driven.kilometres:.2f} km, {driven.share:.1%}, {_count(driven.lanes, 'lane')}"
+    if driven.ways_out:
+        text += f", {driven.ways_out:,} of them out of the map"
+    if len(driven.parts) == 1:
+        return text
+    sizes = ", ".join(f"{kilometres:.2f}" for kilometres in driven.parts[:_LANES_NAMED])
+    more = ", ..." if len(driven.parts) > _LANES_NAMED else ""
+    return f"{text}, in {len(driven.parts)} parts without a way between them ({sizes}{more} km)"
+
+
+def _left_out(facts: MapFacts) -> str:
+    if not facts.left_out:
+        return "nothing"
+    longest, more = facts.left_out[:_LANES_NAMED], len(facts.left_out) - _LANES_NAMED
+    named = ", ".join(f"{road} lane {lane} ({metres:.0f} m)" for road, lane, metres in longest)
+    return (
+        f"{facts.metres_left_out:,.0f} m, {1.0 - facts.driven.share:.1%}, as they lead nowhere or nothing "
+        f"leads there: {named}{f' and {more} more' if more > 0 else ''}"
+    )
+
+
+def _vehicles(facts: MapFacts, suggested: int) -> str:
+    room = facts.driven.vehicle_places
+    if not room:
+        return "no room for background vehicles"
+    return f"dense traffic that flows: {suggested:,}; there is room for {room:,}"
+
+
+def _trial(trial: Trial) -> str:
+    return (
+        f"{_count(trial.vehicles, 'vehicle')} for {trial.seconds:.0f} s: {trial.mean_speed:.1f} m/s, "
+        f"{trial.share_of_free_flow:.0%} of free flow; they stand {trial.standing:.0%} of the time"
+    )
+
+
+def _warnings(trial: Trial) -> Iterator[str]:
+    if trial.overlap_seconds:
+        yield f"vehicles collide: pairs of them overlap for {trial.overlap_seconds:.1f} s"
+    if trial.stuck:
+        vehicles = _count(trial.stuck, "vehicle")
+        yield f"deadlock: at the end {vehicles} had been standing for more than {trial.patience:.0f} s"
+    if trial.share_of_free_flow < _CRAWLS:
+        yield "traffic crawls: try fewer with --vehicles"
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number:,} {thing}" + ("" if number == 1 else "s")

@@ -1,0 +1,57 @@
+"""What the command writes: any text in every encoding, and the log of a service on standard error.
+
+A terminal or a file may take ASCII only (`PYTHONIOENCODING=ascii`, some containers). What the encoding lacks
+is written in other characters there, so that no command fails because of a sign in its output.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import logging
+import os
+import sys
+
+from athrl.errors import CommandError
+
+LEVEL = "ATHRL_LOG"
+"""Environment variable with the level of the log."""
+
+_LEVELS = ("debug", "info", "warning", "error")
+_PACKAGES = ("athrl", "athrl_protocol", "athrl_driving", "athrl_actor", "athrl_learner", "athrl_evaluator")
+_SUBSTITUTES = {"±": "+-", "·": "-"}
+_HANDLER = "athrl-substitutes"
+
+
+def accept_any_text() -> None:
+    """Make standard output and standard error of this process accept any text."""
+    codecs.register_error(_HANDLER, _substitute)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # none of a process without output, or another one of a test
+            stream.reconfigure(errors=_HANDLER)
+
+
+def start_log() -> None:
+    """Log to standard error, athrl's own packages at the level of `ATHRL_LOG`.
+
+    Raises:
+        CommandError: there is no such level.
+    """
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s", stream=sys.stderr)
+    level = os.environ.get(LEVEL) or "info"
+    if level.lower() not in _LEVELS:
+        raise CommandError(f"{LEVEL}={level}: should be {', '.join(_LEVELS[:-1])} or {_LEVELS[-1]}")
+    for package in _PACKAGES:
+        logging.getLogger(package).setLevel(level.upper())
+
+
+def _substitute(error: UnicodeError) -> tuple[str, int]:
+    """Return a substitute for the characters that cannot be encoded, and where encoding continues."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    wrong = error.object[error.start : error.end]
+    return "".join(_SUBSTITUTES.get(character) or _escaped(character) for character in wrong), error.end
+
+
+def _escaped(character: str) -> str:
+    return character.encode("ascii", "backslashreplace").decode("ascii")

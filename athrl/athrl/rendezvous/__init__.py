@@ -1,0 +1,1 @@
+"""How services find a learner whose machine is known only once it runs: by its run's folder."""

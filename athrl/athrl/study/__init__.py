@@ -1,0 +1,1 @@
+"""Studies: a grid of runs, or a search over settings, in one folder, with one table and curves."""

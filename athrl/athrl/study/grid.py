@@ -1,0 +1,164 @@
+"""The runs of a grid: each is trained, scored and noted, as many at once as is wanted."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from functools import partial
+from typing import Any
+
+from athrl.ports import free_address
+from athrl.study import learning
+from athrl.study.file import SCORES, StudyFile
+from athrl.study.folder import StudyFolder
+from athrl.study.plan import PlannedRun
+from athrl.study.runs import RunFailed, Stopped, evaluate, evaluate_words, train, train_words
+from athrl.train.plan import usable_cores
+
+Say = Callable[[str], None]
+
+
+class GridRunner:
+    """Brings runs to their end in the folder of a study.
+
+    Args:
+        study: how they are scored, and how long one may take.
+        folder: where they are and what they came to is noted.
+        stop: drains the runs when it is set.
+        say: shows a line to the user.
+        jobs: how many at once.
+    """
+
+    def __init__(
+        self, study: StudyFile, folder: StudyFolder, stop: threading.Event, say: Say, jobs: int = 1
+    ) -> None:
+        self._study = study
+        self._folder = folder
+        self._stop = stop
+        self._say = say
+        self._jobs = jobs
+
+    def run_all(self, runs: Sequence[PlannedRun]) -> None:
+        """Bring every run to its end and score the reference drivers; a failure is noted, the others go on.
+
+        Raises:
+            Stopped: the runs that were under way are drained.
+            CommandError: the folder cannot be written.
+        """
+        tasks: list[Callable[[], object]] = [partial(self.run, run) for run in runs]
+        for run in _one_a_town(runs):
+            tasks += [partial(self._score_driver, driver, run) for driver in self._study.study.drivers]
+        with ThreadPoolExecutor(self._jobs) as pool:
+            futures = [pool.submit(task) for task in tasks]
+            _, waiting = wait(futures, return_when=FIRST_EXCEPTION)
+            if waiting:  # one has raised: nothing else is started, what is under way is drained
+                self._stop.set()
+                wait(waiting)
+        errors = [error for future in futures if (error := future.exception()) is not None]
+        for error in sorted(errors, key=lambda error: isinstance(error, Stopped)):
+            raise error
+
+    def run(self, run: PlannedRun, look: Callable[[], None] = lambda: None) -> dict[str, Any]:
+        """Bring one run to its end and return what it came to, finished or failed; raises as `run_all` does.
+
+        `look` is called again and again while it trains; what it raises drains the run and is passed on.
+        """
+        known = self._folder.result(run.name)
+        if known is not None and "failure" not in known:
+            return known
+        if self._stop.is_set():
+            raise Stopped
+        result: dict[str, Any] = {
+            "run": run.name,
+            "planner": run.row.planner,
+            "town": run.row.town,
+            "variant": run.row.variant,
+            "seed": run.seed,
+        }
+        try:
+            result |= self._trained(run, look)
+            result["scores"] = self._scored(run)
+            self._say(f"{run.name}: {in_words(result['scores'])}")
+        except RunFailed as error:
+            result["failure"] = str(error)
+            self._say(f"{run.name} failed: {error}")
+        self._folder.note(run.name, result)
+        return result
+
+    def _trained(self, run: PlannedRun, look: Callable[[], None]) -> dict[str, Any]:
+        """Train, and return what the run's folder tells of it."""
+        folder = self._folder.runs / run.name
+        address = free_address()
+        decisions = run.settings.run.environment_steps
+        self._say(f"{run.name}: {decisions:,} decisions, log {self._folder.log(run.name)}; learner {address}")
+        seconds = train(
+            folder,
+            lambda: train_words(folder, run.overrides, run_file=run.run_file, address=address),
+            decisions,
+            self._folder.log(run.name),
+            self._stop,
+            limit_seconds=3600 * self._study.study.hours_a_run,
+            look=look,
+        )
+        earlier = self._folder.result(run.name) or {}
+        curves = learning.training_curves(folder)
+        scores = learning.scores_on_the_way(folder)
+        return {
+            "decisions": decisions,
+            "seconds": seconds if seconds is not None else earlier.get("seconds"),
+            "training": learning.averages(curves, after=run.settings.exploration.random_decisions),
+            "curves": {
+                "training": learning.thinned(curves["return_mean"], decisions),
+                "greedy": learning.thinned(scores, decisions),
+            },
+        }
+
+    def _scored(self, run: PlannedRun) -> dict[str, float]:
+        policy = self._folder.runs / run.name / "policies" / "latest.onnx"
+        return self._evaluated(str(policy), run, run.name)
+
+    def _score_driver(self, driver: str, run: PlannedRun) -> None:
+        """Score a reference driver in a run's town, unless that is done; raises as `run_all` does."""
+        name = driver_name(driver, run.row.town)
+        known = self._folder.result(name)
+        if known is not None and "failure" not in known:
+            return
+        facts: dict[str, Any] = {"driver": driver, "town": run.row.town}
+        try:
+            facts["scores"] = self._evaluated(driver, run, name)
+        except RunFailed as error:
+            facts["failure"] = str(error)
+            self._say(f"{driver} in {run.row.town} failed: {error}")
+        self._folder.note(name, facts)
+
+    def _evaluated(self, driver: str, run: PlannedRun, name: str) -> dict[str, float]:
+        scoring = self._study.scoring
+        words = evaluate_words(
+            driver,
+            run.settings.environment,
+            town=run.row.town,
+            episodes=scoring.episodes,
+            first_seed=scoring.first_seed,
+        )
+        threads = max(1, usable_cores() // self._jobs)
+        found = evaluate(words, self._folder.log(f"{name}-scores"), self._stop, threads=threads)
+        return {score: round(float(found[score]), 5) for score in SCORES if score in found}
+
+
+def driver_name(driver: str, town: str) -> str:
+    """Return under which name a reference driver's scores in a town are kept."""
+    return f"driver-{driver}-{town.replace('/', '_')}"
+
+
+def in_words(scores: dict[str, float]) -> str:
+    """Return the most important scores in a line."""
+    return (
+        f"return {scores['return_mean']:.0f}, {scores['speed_mps']:.2f} m/s, "
+        f"collisions {scores['collision_rate']:.1%}, off lane {scores['off_lane_rate']:.1%}"
+    )
+
+
+def _one_a_town(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
+    """Return the first run in each town, whose environment the reference drivers get."""
+    return list({run.row.town: run for run in reversed(runs)}.values())[::-1]

@@ -1,0 +1,1 @@
+"""`athrl submit`: a run as jobs of a cluster's scheduler."""

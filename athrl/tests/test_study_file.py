@@ -1,0 +1,211 @@
+"""The file of a study is checked when it is read, and a folder is that of one study."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from athrl.errors import CommandError
+from athrl.runs import declare_installed_planners
+from athrl.study.file import StudyFile, read_study_file
+from athrl.study.folder import StudyFolder
+from athrl.study.plan import PlannedRun, planned_runs, require_search
+from athrl_protocol.run_file import declare_planners, declared_planners, read_run_file
+from athrl_protocol.run_file.toml_values import to_toml_value
+
+ROOT = Path(__file__).parents[2]
+
+GOOD: dict[str, Any] = {
+    "study": {"name": "one", "seeds": [1, 2]},
+    "grid": [{"planners": ["ddpg", "hddpg"], "towns": ["town03"]}],
+}
+SEARCH = {"trials": 3, "ranges": {"planner.n_step": {"low": 1, "high": 4}}}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _planners() -> Any:
+    before = declared_planners()
+    declare_installed_planners()
+    yield
+    declare_planners(before)
+
+
+def written(folder: Path, content: dict[str, Any]) -> Path:
+    """Write a study as TOML, its grids and searches as inline tables."""
+    lines = []
+    for section, value in content.items():
+        tables = value if isinstance(value, list) else [value]
+        for table in tables:
+            lines.append(f"[[{section}]]" if isinstance(value, list) else f"[{section}]")
+            lines += [f"{key} = {to_toml(each)}" for key, each in table.items()]
+    path = folder / "study.toml"
+    path.write_text("\n".join(lines) + "\n")
+    tomllib.loads(path.read_text())
+    return path
+
+
+def to_toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{to_toml_value(key)} = {to_toml(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(to_toml, value)) + "]"
+    return to_toml_value(value)
+
+
+def read(path: Path) -> tuple[StudyFile, list[PlannedRun]]:
+    study = read_study_file(path)
+    return study, planned_runs(path, study)
+
+
+def changed(**changes: Any) -> dict[str, Any]:
+    """The good study with the first grid changed."""
+    return {**GOOD, "grid": [{**GOOD["grid"][0], **changes}]}
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (changed(planners=["hdpg"]), "did you mean hddpg?"),
+        (changed(towns=["town3"]), "there is no town named 'town3', did you mean 'town03'?"),
+        (changed(settings=["learner.bach=64"]), "learner.bach is no setting; did you mean learner.batch?"),
+        (changed(settings=["run.seed=7"]), "the study sets run.seed of each run itself, leave it out"),
+        (changed(planners=["ddpg", "ddpg"]), '"ddpg" is there twice, it should be there once'),
+        (changed(run_file="../{pilot}.toml"), "should be a path that has {planner} and {town} alone"),
+        (changed(run_file="no-such-{planner}.toml"), "no-such-ddpg.toml: cannot be read"),
+        (changed(town="town03"), "grid.0.town is no key of a study"),
+        (
+            {**GOOD, "study": {"name": "one", "seeds": list(range(6000))}},
+            "has 12,000 runs, should have at most",
+        ),
+        ({"study": GOOD["study"]}, "grid is missing"),
+        ({**GOOD, "study": {"name": "one", "seeds": []}}, "study.seeds = []: "),
+        ({**GOOD, "study": {"name": "No name"}}, 'study.name = "No name": '),
+        ({**GOOD, "study": {"name": "one", "drivers": ["rulebased"]}}, '"rulebased" is no driver'),
+        (
+            {**GOOD, "grid": [*GOOD["grid"], {"planners": ["ddpg"], "towns": ["town03"], "seeds": [2]}]},
+            "ddpg in town03 with seed 2 is there twice as ddpg-town03-2, it should be there once",
+        ),
+    ],
+)
+def test_wrong_study_is_refused_in_one_line_that_names_what_is_wrong(
+    tmp_path: Path, content: dict[str, Any], told: str
+) -> None:
+    path = written(tmp_path, content)
+    with pytest.raises(CommandError) as error:
+        read(path)
+    assert told in str(error.value)
+    assert str(error.value).startswith(str(tmp_path))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("search", "told"),
+    [
+        (None, "[search] is missing"),
+        ({**SEARCH, "ranges": {"planner.n_stp": [1, 2]}}, "did you mean planner.n_step?"),
+        ({**SEARCH, "ranges": {"planner.n_step": {"low": 0, "high": 4}}}, "planner.n_step=0"),
+        ({**SEARCH, "ranges": {"planner.n_step": {"low": 4, "high": 1}}}, "low should be less"),
+        ({**SEARCH, "ranges": {"run.seed": {"low": 1, "high": 4}}}, "the study sets run.seed"),
+        ({**SEARCH, "trials": 0}, "search.trials = 0: "),
+    ],
+)
+def test_wrong_search_is_refused_in_one_line(tmp_path: Path, search: Any, told: str) -> None:
+    path = written(tmp_path, GOOD if search is None else {**GOOD, "search": search})
+    with pytest.raises(CommandError) as error:
+        require_search(path, read(path)[0])
+    assert told in str(error.value)
+
+
+def test_every_row_has_a_run_before_any_has_its_second(tmp_path: Path) -> None:
+    variants = {"plain": [], "far": ["planner.n_step=5"]}
+    _, runs = read(written(tmp_path, changed(variants=variants)))
+    assert len(runs) == 2 * 2 * 2
+    assert [run.seed for run in runs] == [1] * 4 + [2] * 4
+    assert {run.settings.planner.values()["n_step"] for run in runs if run.row.variant == "far"} == {5}
+
+
+def test_the_papers_study_has_its_four_planners_and_is_run_by_its_recipe() -> None:
+    _, runs = read(ROOT / "studies" / "paper.toml")
+    rows = {(run.row.planner, run.row.town) for run in runs}
+    in_town03 = {(planner, "town03") for planner in ("ddpg", "hdqn", "hddpg", "athrl")}
+    assert rows == in_town03 | {(p, t) for p in ("hdqn", "athrl") for t in ("town02", "town04")}
+    assert all(
+        [run.seed for run in runs if (run.row.planner, run.row.town) == row] == [1, 2, 3, 4, 5]
+        for row in rows
+    )
+    for run in runs:
+        preset = read_run_file(ROOT / "presets" / f"paper-{run.row.planner}-{run.row.town}.toml")
+        assert run.settings.planner == preset.planner
+        assert run.settings.learner == preset.learner
+        assert run.settings.run.environment_steps == 40_000
+
+
+def test_the_short_study_is_valid_also_as_a_search() -> None:
+    path = ROOT / "studies" / "short.toml"
+    study, runs = read(path)
+    require_search(path, study)
+    assert len(runs) == 4
+
+
+@pytest.fixture
+def begun(tmp_path: Path) -> StudyFolder:
+    folder = StudyFolder(tmp_path / "out")
+    with folder.locked():
+        folder.claim(*read(written(tmp_path, GOOD)))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ({**GOOD, "study": {"name": "two", "seeds": [1, 2]}}, "study was begun as one, should be two"),
+        ({**GOOD, "scoring": {"episodes": 7}}, "scoring, episodes was begun as 100, should be 7"),
+        (
+            changed(settings=["learner.batch=64"]),
+            "run ddpg-town03-1, settings was begun as [], should be ['learner.batch=64']",
+        ),
+    ],
+)
+def test_folder_of_another_study_is_refused(
+    tmp_path: Path, begun: StudyFolder, content: dict[str, Any], told: str
+) -> None:
+    with begun.locked(), pytest.raises(CommandError, match="holds another study") as error:
+        begun.claim(*read(written(tmp_path, content)))
+    assert told in str(error.value)
+
+
+def test_seeds_and_rows_may_be_added_to_a_study(tmp_path: Path, begun: StudyFolder) -> None:
+    more = {**GOOD, "study": {"name": "one", "seeds": [1, 2, 3]}}
+    with begun.locked():
+        begun.claim(*read(written(tmp_path, more)))
+        begun.claim(*read(written(tmp_path, GOOD)))
+
+
+def test_changed_run_file_makes_it_another_study(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text("[learner]\nbatch = 64\n")
+    path = written(tmp_path, changed(run_file="run.toml"))
+    folder = StudyFolder(tmp_path / "out")
+    with folder.locked():
+        folder.claim(*read(path))
+        (tmp_path / "run.toml").write_text("[learner]\nbatch = 128\n")
+        with pytest.raises(CommandError, match="run ddpg-town03-1, run_file was begun as"):
+            folder.claim(*read(path))
+
+
+def test_folder_with_other_files_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(CommandError, match="holds other files and no study"), StudyFolder(tmp_path).locked():
+        pass
+
+
+def test_two_processes_do_not_work_on_the_same_grid(begun: StudyFolder) -> None:
+    with begun.locked(), pytest.raises(CommandError, match="another athrl study works in it"), begun.locked():
+        pass
+
+
+def test_several_workers_of_a_search_share_a_folder(begun: StudyFolder) -> None:
+    refused = pytest.raises(CommandError, match="another athrl study works in it")
+    with begun.locked(shared=True), begun.locked(shared=True), refused, begun.locked():
+        pass

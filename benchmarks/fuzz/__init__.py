@@ -1,0 +1,1 @@
+"""Throw broken input at every parser: each piece must be refused with our own error, or be proper."""

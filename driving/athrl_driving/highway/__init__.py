@@ -1,5 +1,0 @@
-"""highway-env's own traffic, compiled: the same vehicles, rules and results, hundreds of times faster."""
-
-from athrl_driving.highway.acceleration import accelerate
-
-__all__ = ["accelerate"]

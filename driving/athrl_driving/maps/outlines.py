@@ -1,0 +1,48 @@
+"""Lanes as lines and areas of points, for drawing."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from athrl_driving.maps.lane_graph import Floats
+
+
+class LaneShapes(NamedTuple):
+    """Centre lines of lanes, each a line or an arc; all are float64 [lanes]."""
+
+    x: Floats
+    """m, where it starts."""
+    y: Floats
+    """m, where it starts."""
+    heading: Floats
+    """rad, where it starts."""
+    curvature: Floats
+    """1/m."""
+    length: Floats
+    """m."""
+
+
+def centre_lines(shapes: LaneShapes, spacing: float) -> list[Floats]:
+    """Return lines and arcs as points [n, 2] in metres, at most `spacing` metres apart."""
+    x, y, heading, curvature, length = shapes
+    lines = []
+    for lane, metres in enumerate(length.tolist()):
+        straight = curvature[lane] == 0.0 or metres <= spacing
+        s = np.linspace(0.0, metres, 2 if straight else int(np.ceil(metres / spacing)) + 1)
+        half = 0.5 * curvature[lane] * s
+        # The chord of an arc: its length is s * sinc(half the turn), its direction half the turn.
+        chord, direction = s * np.sinc(half / np.pi), heading[lane] + half
+        points = (x[lane] + chord * np.cos(direction), y[lane] + chord * np.sin(direction))
+        lines.append(np.stack(points, axis=1))
+    return lines
+
+
+def outlines(lines: list[Floats], widths: Floats) -> list[Floats]:
+    """Return the areas around centre lines [n, 2]: outlines [2n, 2], as wide as `widths` [lanes]; all m."""
+    areas = []
+    for line, width in zip(lines, widths.tolist(), strict=True):
+        along = np.gradient(line, axis=0)
+        along /= np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
+        across = 0.5 * width * np.stack([-along[:, 1], along[:, 0]], axis=1)
+        areas.append(np.concatenate([line + across, (line - across)[::-1]]))
+    return areas

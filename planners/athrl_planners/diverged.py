@@ -1,5 +1,0 @@
-"""Training that has gone wrong."""
-
-
-class TrainingDiverged(Exception):  # noqa: N818  (the name says what happened)
-    """A loss is not a finite number; the text is one line for the user."""

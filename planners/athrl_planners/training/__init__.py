@@ -1,0 +1,1 @@
+"""Training of planners: the agent, its levels, losses and batches."""

@@ -1,0 +1,143 @@
+"""Present services: a liveliness token for each, which disappears with its process or connection."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+import zenoh
+
+from athrl_protocol.faults.background import Background
+from athrl_protocol.messages.keys import Keys, role_and_name_of
+from athrl_protocol.transport.closeable import Closeable
+from athrl_protocol.transport.session import undeclare_quietly
+
+MOST_AT_ONCE = 256  # events between two polls; with more of them the session would wait
+
+_log = logging.getLogger(__name__)
+
+
+class Presence(Closeable):
+    """A declared token; the service counts as present until it is closed or its session ends."""
+
+    def __init__(self, token: zenoh.LivelinessToken) -> None:
+        self._token = token
+
+    def close(self) -> None:
+        """Remove the token."""
+        undeclare_quietly(self._token)
+
+
+def announce_presence(session: zenoh.Session, run: str, role: str, name: str) -> Presence:
+    """Announce that the service `name` of the role (learner, actor, evaluator) is present."""
+    return Presence(session.liveliness().declare_token(Keys(run).alive(role, name)))
+
+
+class PresenceWatcher(Closeable):
+    """Keeps the set of present services of a run; their names are taken.
+
+    Args:
+        session: an open session, which stays the caller's.
+        run: name of the run.
+        on_change: called with the new set after each change, from another thread.
+        role: watch services of this role only.
+        name: watch only this service of that role. Each watcher gets a message for every service that it
+            watches, so a thousand services that watch each other cause a million messages.
+
+    Errors in the other thread are logged, and raised as BackgroundFailed by `present` and `wait_for`.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        run: str,
+        on_change: Callable[[frozenset[tuple[str, str]]], None] | None = None,
+        role: str | None = None,
+        name: str | None = None,
+    ) -> None:
+        self._on_change = on_change
+        self._changed = threading.Condition()
+        self._background = Background("the watch over present services", _log, wake=self._wake)
+        self._present: frozenset[tuple[str, str]] = frozenset()
+        # With history, because a query for tokens can come back empty behind a router.
+        self._subscriber = session.liveliness().declare_subscriber(
+            _watched(Keys(run), role, name), self._take, history=True
+        )
+
+    def present(self) -> set[tuple[str, str]]:
+        """Return (role, name) of all present services."""
+        with self._changed:
+            self._background.check()
+            return set(self._present)
+
+    def wait_for(self, condition: Callable[[frozenset[tuple[str, str]]], bool], timeout: float) -> bool:
+        """Wait at most `timeout` seconds until the set fulfils the condition; return whether it does."""
+        with self._changed:
+            reached = self._changed.wait_for(
+                lambda: self._background.failed or condition(self._present), timeout
+            )
+            self._background.check()
+            return reached
+
+    def close(self) -> None:
+        """Stop watching."""
+        undeclare_quietly(self._subscriber)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """Add or remove a service; the same event may come twice."""
+        with self._background.watched():
+            self._note(sample)
+
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _note(self, sample: zenoh.Sample) -> None:
+        service = role_and_name_of(str(sample.key_expr))
+        with self._changed:
+            if sample.kind == zenoh.SampleKind.PUT:
+                present = self._present | {service}
+            else:
+                present = self._present - {service}
+            if present == self._present:
+                return
+            self._present = present
+            self._changed.notify_all()
+        if self._on_change is not None:
+            self._on_change(present)
+
+
+class PresencePoll(Closeable):
+    """Whether a service of a role, or one by its name, is present; for callers that only poll a few times.
+
+    It costs a tenth of a watcher, because it has no callbacks. Of two such objects in one session the first
+    is up to date as soon as the second sees a service.
+    """
+
+    def __init__(self, session: zenoh.Session, run: str, role: str, name: str | None = None) -> None:
+        self._present: set[str] = set()
+        self._subscriber = session.liveliness().declare_subscriber(
+            _watched(Keys(run), role, name), zenoh.handlers.FifoChannel(MOST_AT_ONCE), history=True
+        )
+
+    def any_present(self) -> bool:
+        """Poll once."""
+        while (event := self._subscriber.handler.try_recv()) is not None:
+            self._note(event)
+        return bool(self._present)
+
+    def close(self) -> None:
+        """Stop polling."""
+        undeclare_quietly(self._subscriber)
+
+    def _note(self, event: zenoh.Sample) -> None:
+        """Add or remove a service; the same event may come twice."""
+        change = self._present.add if event.kind == zenoh.SampleKind.PUT else self._present.discard
+        change(str(event.key_expr))
+
+
+def _watched(keys: Keys, role: str | None, name: str | None) -> str:
+    if role is None:
+        return keys.every_alive
+    return keys.alive_of(role) if name is None else keys.alive(role, name)

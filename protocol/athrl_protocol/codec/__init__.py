@@ -1,0 +1,1 @@
+"""Chunks and their images as bytes."""

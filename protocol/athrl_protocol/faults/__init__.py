@@ -1,0 +1,1 @@
+"""Failures in the background and refused messages: counted, logged once, and raised to callers."""

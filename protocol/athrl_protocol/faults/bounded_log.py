@@ -1,0 +1,93 @@
+"""Bounded logging: of what other processes send, and of what is noticed again and again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+LONGEST_TEXT = 200
+
+
+def shortened(text: str) -> str:
+    """Return a text of another process in quotes, as one line of limited length."""
+    return repr(text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}...")
+
+
+class BoundedLog:
+    """Logs a line again only after `seconds`, and at most `lines` different ones in that time."""
+
+    def __init__(
+        self,
+        write: Callable[[str], None],
+        seconds: float = 10.0,
+        lines: int = 20,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._write = write
+        self._seconds = seconds
+        self._lines = lines
+        self._clock = clock
+        self._began = -float("inf")
+        self._counts: dict[str, int] = {}
+        self._beyond = 0
+        self._lock = threading.Lock()
+
+    def __call__(self, text: str) -> None:
+        """Log the line, or count it."""
+        with self._lock:
+            if self._clock() - self._began >= self._seconds:
+                self._sum_up()
+            if text in self._counts:
+                self._counts[text] += 1
+            elif len(self._counts) < self._lines:
+                self._counts[text] = 1
+                self._write(text)
+            else:
+                self._beyond += 1
+
+    def _sum_up(self) -> None:
+        """Log how often each line was suppressed since it was logged, and start again."""
+        for text, count in self._counts.items():
+            if count > 1:
+                self._write(f"{text} ({count - 1} times more)")
+        if self._beyond:
+            self._write(f"{self._beyond} other messages were refused as well")
+        self._counts, self._beyond, self._began = {}, 0, self._clock()
+
+
+class RareLog:
+    """Logs at most one line in `seconds`; it also has what else was to be logged since the line before.
+
+    For a condition that several places notice again and again, such as a full disk.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[str], None],
+        seconds: float = 60.0,
+        others: int = 3,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`others` is the most texts that a line has besides its own."""
+        self._write = write
+        self._seconds = seconds
+        self._most_others = others
+        self._clock = clock
+        self._wrote_at = -float("inf")
+        self._left_out: dict[str, None] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, text: str) -> bool:
+        """Log the text or leave it out; return whether it was logged."""
+        with self._lock:
+            now = self._clock()
+            if now - self._wrote_at < self._seconds:
+                if len(self._left_out) < self._most_others:
+                    self._left_out[text] = None
+                return False
+            self._left_out.pop(text, None)
+            others = f" (before that: {'; '.join(self._left_out)})" if self._left_out else ""
+            self._wrote_at, self._left_out = now, {}
+        self._write(text + others)
+        return True

@@ -1,0 +1,1 @@
+"""Messages: the schema and its version, chunks, frames, keys, and size limits."""

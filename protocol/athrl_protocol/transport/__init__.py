@@ -1,0 +1,1 @@
+"""Sessions: addresses, monitoring and reconnection, and closing."""

@@ -1,0 +1,1 @@
+"""Policy files: those of a run, and those that come with the package."""

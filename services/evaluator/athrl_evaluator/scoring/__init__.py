@@ -1,0 +1,1 @@
+"""Episodes on fixed seeds and the scores that follow from them."""

@@ -1,0 +1,1 @@
+"""Live episodes in a rerun viewer."""

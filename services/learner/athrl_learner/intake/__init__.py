@@ -1,0 +1,1 @@
+"""Intake of chunks: they are validated, limited, and stored in replay and log."""

@@ -1,0 +1,1 @@
+"""Updates: the device, the trainer, memory, and what happens when training diverges."""
