@@ -42,12 +42,14 @@ def result(folder: Path, run: str = "hddpg-town03-1") -> dict[str, Any]:
 def test_study_trains_and_scores_each_run_and_goes_on_after_one_that_failed(
     command, study, tmp_path: Path
 ) -> None:
-    file = study('variants = {plain = [], crowded = ["environment.vehicles=5000"]}')
+    variants = 'variants = {plain = [], crowded = ["environment.vehicles=5000"]}'
+    # Long enough that an actor reports, once a second, after the random decisions.
+    file = study(variants, **{"run.environment_steps": 1500})
     done = command.run("study", str(file), "--out", "out", "--jobs", "2", seconds=SECONDS)
     assert done.returncode == 1, done.stderr
     finished = result(tmp_path / "out", "hddpg-town03-plain-1")
     assert {"return_mean", "speed_mps", "collision_rate"} <= finished["scores"].keys()
-    assert finished["training"].keys() == {"return_mean", "speed_mps"}
+    assert {"return_mean"} <= finished["training"].keys() <= {"return_mean", "speed_mps"}
     assert finished["seconds"] > 0
     failed = "hddpg-town03-crowded-1 failed: ended with code 2: environment.vehicles is 5000"
     assert f"- {failed}" in (tmp_path / "out" / "table.md").read_text()

@@ -145,10 +145,9 @@ def _require_alone(what: str | None, serving: str | None, save: Path | None) -> 
 def _driven(town: str | None, vehicles: int | None) -> EnvironmentSection:
     """The settings of what a driver is watched in; raises CommandError where it cannot be driven."""
     given = {"towns": town, "vehicles": vehicles}
-    section = EnvironmentSection.model_validate({k: v for k, v in given.items() if v is not None})
-    for name in section.towns:
-        check_town(name, section.vehicles)
-    return section
+    for name in DEFAULTS.environment.towns if town is None else (town,):
+        check_town(name, DEFAULTS.environment.vehicles if vehicles is None else vehicles)
+    return EnvironmentSection.model_validate({k: v for k, v in given.items() if v is not None})
 
 
 def _watch_policy(

@@ -278,15 +278,16 @@ def test_without_its_extra_the_missing_package_is_named_with_how_to_get_it() -> 
 
 
 _RUN_A_POLICY = """
-import sys
+import os, sys
 from athrl_driving.policy import OnnxPolicy
 OnnxPolicy.load(sys.argv[1])
+print(os.environ["ORT_DISABLE_TELEMETRY"])
 """
 
 
-@pytest.mark.parametrize(("chosen", "leaves_files"), [(None, False), ("0", True)])
+@pytest.mark.parametrize("chosen", [None, "0"])
 def test_a_policy_leaves_nothing_in_the_home_unless_its_owner_wants_telemetry(
-    tmp_path: Path, chosen: str | None, leaves_files: bool
+    tmp_path: Path, chosen: str | None
 ) -> None:
     file, home = tmp_path / "some.onnx", tmp_path / "home"
     file.write_bytes(artefact())
@@ -298,4 +299,7 @@ def test_a_policy_leaves_nothing_in_the_home_unless_its_owner_wants_telemetry(
         env={**outside, **choice, "HOME": str(home)}, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    assert any(path.is_file() for path in home.rglob("*")) == leaves_files
+    assert result.stdout.strip() == (chosen or "1")
+    # With telemetry ONNX Runtime writes files when it likes, or never: only without it is the home sure.
+    if chosen is None:
+        assert not any(path.is_file() for path in home.rglob("*"))
