@@ -21,6 +21,9 @@ DEFAULTS = RunFile()
 WHAT, WHERE = "What to run", "Machine and network"
 """Groups of options in the help."""
 
+METRICS_VARIABLE = "ATHRL_METRICS_LISTEN"
+"""Where evaluator and router answer Prometheus, unless an option says it."""
+
 RunFileOption = Annotated[
     Path | None,
     typer.Option(
@@ -79,7 +82,7 @@ MetricsListenOption = Annotated[
     str,
     typer.Option(
         "--metrics-listen",
-        envvar="ATHRL_METRICS_LISTEN",
+        envvar=METRICS_VARIABLE,
         metavar="ADDRESS",
         callback=lambda given: check_metrics_address(given),
         help="Answer Prometheus there: PORT (on loopback), HOST:PORT or every-address:PORT.",

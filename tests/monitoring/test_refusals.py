@@ -41,3 +41,20 @@ def test_port_in_use_is_refused_and_leaves_no_run(command, tiny: list[str], free
         evaluator = ["evaluator", "--connect", f"tcp/127.0.0.1:{free_port()}", "--metrics-listen", str(port)]
         assert f"127.0.0.1:{port}" in one_line(command.run(*evaluator, seconds=SECONDS))
     assert not list(command.folder.glob("runs/*/run.toml"))
+
+
+@pytest.mark.parametrize("given", ["in use", "the learner's", "no address"])
+def test_evaluators_port_is_checked_before_train_starts_anything(
+    command, tiny: list[str], free_port, monkeypatch: pytest.MonkeyPatch, given: str
+) -> None:
+    with socket.create_server(("127.0.0.1", free_port())) as taken:
+        used, free = taken.getsockname()[1], free_port()
+        port, said = {
+            "in use": (used, f"cannot serve metrics at 127.0.0.1:{used}: another process listens there"),
+            "the learner's": (free, f"cannot serve metrics at 127.0.0.1:{free}"),
+            "no address": ("nine", "'nine' is no address for metrics"),
+        }[given]
+        monkeypatch.setenv("ATHRL_METRICS_LISTEN", str(port))
+        line = one_line(command.run("train", *tiny, "--set", f"metrics.listen={free}", seconds=SECONDS))
+    assert f"ATHRL_METRICS_LISTEN, for the evaluator: {said}" in line
+    assert not list(command.folder.glob("runs/*"))

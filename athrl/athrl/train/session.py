@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from contextlib import ExitStack
 
 from athrl_protocol import LearnerNotFound, Phase, RunNotFound
+from athrl_protocol.monitoring.endpoint import require_free_endpoints
 from athrl_protocol.transport.session import require_free
 
 from athrl.display import Display
 from athrl.errors import CommandError
+from athrl.options import METRICS_VARIABLE
 from athrl.ports import is_free
 from athrl.run_view import RunSnapshot, RunView
 from athrl.service_names import program
@@ -69,6 +72,12 @@ class TrainingSession:
         self._display.say(f"run {self._plan.settings.run.name} in {self._plan.folder}: starting the learner")
         self._display.say(str(self._division))
         require_free(self._plan.settings.network.listen)
+        require_free_endpoints(
+            {
+                "metrics.listen, for the learner": self._plan.settings.metrics.listen,
+                f"{METRICS_VARIABLE}, for the evaluator": os.environ.get(METRICS_VARIABLE, ""),
+            }
+        )
         self._supervisor.start(self._learner)
         with ExitStack() as stack:
             view = self._open_view(stop, stack)

@@ -14,7 +14,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
@@ -115,6 +115,25 @@ def serve_metrics(listen: str, *collectors: Collector) -> AbstractContextManager
     Raises as `metrics_address` and `MetricsEndpoint` do.
     """
     return MetricsEndpoint(metrics_address(listen), collectors) if listen else contextlib.nullcontext()
+
+
+def require_free_endpoints(listens: Mapping[str, str]) -> None:
+    """Raise what `serve_metrics` would for one of these addresses, or for two that are the same.
+
+    Args:
+        listens: addresses by what gives them, which an error names; an empty address is none.
+
+    Raises:
+        ProtocolError: an address is none, or cannot be listened at.
+        AddressInUse: another process listens there, or an address before it is the same.
+    """
+    with contextlib.ExitStack() as taken:
+        for origin, listen in listens.items():
+            try:
+                if listen:
+                    taken.enter_context(_listening(metrics_address(listen)))
+            except ProtocolError as error:
+                raise type(error)(f"{origin}: {error}") from None
 
 
 class _Texts:

@@ -24,6 +24,7 @@ from tensorboard.plugins.custom_scalar.layout_pb2 import (  # type: ignore[impor
 )
 from tensorboard.plugins.text import metadata as text_metadata  # type: ignore[import-untyped]
 
+from athrl_evaluator.recording.recordings import newest_recordings
 from athrl_evaluator.watching.viewer import FRAMES_PORT, PAGE_PORT, Server
 
 NEWEST = 5  # recordings that are named
@@ -76,8 +77,8 @@ def layout_value() -> Summary.Value:
 
 def links_value(recordings: Path) -> Summary.Value:
     """Where to look at the run as it drives: the live episode, and the newest recordings in a folder."""
+    newest = newest_recordings(recordings)[:NEWEST]
     live = Server(FRAMES_PORT, page_port=PAGE_PORT).shown_address
-    newest = sorted(recordings.glob("*.mcap"), key=lambda file: file.stat().st_mtime, reverse=True)[:NEWEST]
     lines = [
         f"Live: [{live}]({live}), served by `athrl watch --browser`",
         "",

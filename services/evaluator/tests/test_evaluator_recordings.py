@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun_cli
+from athrl_evaluator.dashboard import links_value
 from athrl_evaluator.observers import Recorder
 from athrl_evaluator.recording.reading import InvalidRecording, read_frames
 from athrl_evaluator.recording.recordings import EpisodeRecording, prune_recordings
@@ -117,6 +118,22 @@ def test_the_oldest_recordings_are_removed(tmp_path: Path):
         os.utime(file, ns=(number, 100 - number))
     prune_recordings(tmp_path, 2)
     assert sorted(os.listdir(tmp_path)) == ["0.mcap", "1.mcap"]
+
+
+def test_a_recording_that_vanishes_while_the_folder_is_read_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    for number in range(4):
+        (tmp_path / f"{number}.mcap").touch()
+        os.utime(tmp_path / f"{number}.mcap", ns=(number, number))
+    listed = list(tmp_path.glob("*.mcap"))
+    (tmp_path / "3.mcap").unlink()
+    monkeypatch.setattr(Path, "glob", lambda *_: iter(listed))
+    links = links_value(tmp_path).tensor.string_val[0].decode()
+    assert "2.mcap" in links
+    assert "3.mcap" not in links
+    prune_recordings(tmp_path, 2)
+    assert sorted(os.listdir(tmp_path)) == ["1.mcap", "2.mcap"]
 
 
 def test_a_recording_becomes_a_rerun_file_with_the_whole_scene(recorded: tuple[Path, list], tmp_path: Path):

@@ -77,8 +77,16 @@ class EpisodeRecording:
         self._writer.write_message(topic=topic, message=message, log_time=log_time, publish_time=log_time)
 
 
+def newest_recordings(folder: Path) -> list[Path]:
+    """The recordings of a folder, the newest first; one that vanishes meanwhile is passed over."""
+    ages = []
+    for path in folder.glob("*.mcap"):
+        with suppress(FileNotFoundError):  # somebody else may clear up as well
+            ages.append((path.stat().st_mtime_ns, path.name, path))
+    return [path for _, _, path in sorted(ages, reverse=True)]
+
+
 def prune_recordings(folder: Path, kept: int) -> None:
     """Remove all but the newest `kept` recordings of a folder."""
-    files = sorted(folder.glob("*.mcap"), key=lambda path: (path.stat().st_mtime_ns, path.name))
-    for path in files[: max(0, len(files) - kept)]:
+    for path in newest_recordings(folder)[kept:]:
         path.unlink(missing_ok=True)
