@@ -71,6 +71,11 @@ class Overlay:
     def get(self, kind: str, name: str) -> Object:
         return self.of(kind)[name]
 
+    def secrets(self) -> set[str]:
+        """Names of the secrets that are in the overlay, or that cert-manager makes for it."""
+        made = {each["spec"]["secretName"] for each in self.of("Certificate").values()}
+        return made | set(self.of("Secret"))
+
     def pods(self) -> dict[str, Pod]:
         """The pods by the names of their workloads."""
         pods = {}
