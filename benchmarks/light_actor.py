@@ -1,7 +1,8 @@
 """An actor that drives nothing: sends ready-made chunks as fast as the learner takes them.
 
-Arguments: address, name. Prints "ready" when it is connected, sends until its input is closed, and then
-prints a JSON object with the seconds of a core and the counts of its chunks.
+Arguments: address, name, decisions in a chunk (else 64). Prints "ready" when it is connected, sends
+until its input is closed, and then prints a JSON object with the seconds of a core and the counts of its
+chunks.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ _PATIENCE = 60.0
 _READY = 8
 
 
-def main(address: str, name: str) -> None:
+def main(address: str, name: str, steps: str = str(STEPS)) -> None:
     """Send until the input is closed."""
-    chunks = [synthetic_chunk(STEPS, seed=seed) for seed in range(_READY)]
+    chunks = [synthetic_chunk(int(steps), seed=seed) for seed in range(_READY)]
     stop = threading.Event()
     with (
         open_session(connect=address, timeout=_PATIENCE) as session,
