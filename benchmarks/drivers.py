@@ -16,7 +16,7 @@ from athrl_driving import make_driver
 from athrl_driving.drivers import DRIVERS
 from athrl_driving.envs import TownVectorEnv
 
-from benchmarks.maps import add_map_options, chosen_maps
+from benchmarks.maps import add_map_options, chosen_maps, told_in_one_line
 
 
 def drive(town: str, driver_name: str, vehicles: int, seeds: Sequence[int]) -> dict[str, object]:
@@ -70,4 +70,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with told_in_one_line():
+        main()

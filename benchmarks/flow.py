@@ -19,7 +19,7 @@ from athrl_driving.traffic.flow import drive, measure_flow
 from athrl_driving.traffic.spawn import place_vehicles
 from athrl_driving.traffic.state import new_traffic
 
-from benchmarks.maps import add_map_options, chosen_maps
+from benchmarks.maps import add_map_options, chosen_maps, told_in_one_line
 
 TICKS_TIMED = 1000
 
@@ -78,4 +78,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with told_in_one_line():
+        main()

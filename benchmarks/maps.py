@@ -10,12 +10,15 @@ import argparse
 import json
 import os
 import shutil
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from athrl_driving import maps
+from athrl_driving.errors import DrivingError
 from athrl_driving.maps import TOWNS, load_town
 from lxml import etree  # type: ignore[import-untyped]
 
@@ -34,6 +37,15 @@ def chosen_maps(arguments: argparse.Namespace) -> dict[str, str]:
     """Return the chosen maps: what to call each, and what `load_town` knows it by."""
     chosen = arguments.maps or [*TOWNS, *map(str, sorted(arguments.carla.glob("*.xodr")))]
     return {name if name in TOWNS else f"CARLA {load_town(name).name}": name for name in chosen}
+
+
+@contextmanager
+def told_in_one_line() -> Iterator[None]:
+    """End the program with one line where a map cannot be used, or has no room for the vehicles."""
+    try:
+        yield
+    except DrivingError as error:
+        sys.exit(str(error))
 
 
 def load_seconds(file: Path) -> tuple[float, float]:
@@ -75,4 +87,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with told_in_one_line():
+        main()

@@ -10,7 +10,6 @@ from benchmarks.public_maps import describe, writers
 from benchmarks.public_maps.trial import SECONDS, try_map
 
 REFUSED = {
-    "roadgen/motorway_with_diamond": "its first <width> or <border> starts 180.000 m behind its section",
     "sumo/narrow": "it ends 0.735 m from lane -1 of road",
 }
 """Maps whose file is wrong, each with what is said about it."""

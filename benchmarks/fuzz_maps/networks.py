@@ -91,7 +91,20 @@ def ramp(chance: Random) -> Network:
     return _network([main, ahead, off], [junction])
 
 
-NETWORKS = (loop, loop, open_road, crossing, crossing, ramp)
+def unconnected(chance: Random) -> Network:
+    """Return roads that lie across each other in any way, without a junction."""
+    roads = []
+    for number in range(chance.randint(2, 5)):
+        pieces = [_piece(chance) for _ in range(chance.randint(1, 3))]
+        left, right = chance.choice([(0, 1), (1, 1), (2, 2), (1, 2)])
+        road = xodr.create_road(pieces, number, left, right, lane_width=chance.choice(_LANE_WIDTHS))
+        start = chance.uniform(-60.0, 60.0), chance.uniform(-60.0, 60.0)
+        road.planview.set_start_point(*start, chance.uniform(-math.pi, math.pi))
+        roads.append(road)
+    return _network(roads)
+
+
+NETWORKS = (loop, loop, open_road, crossing, crossing, ramp, unconnected)
 """The kinds; one that is more important comes twice."""
 
 

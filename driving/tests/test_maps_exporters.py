@@ -90,6 +90,19 @@ def test_what_says_the_same_in_other_words_is_the_same(tmp_path: Path, name: str
     assert "road 1" in town.road_name
 
 
+def test_a_lane_begins_where_its_first_width_does(tmp_path: Path) -> None:
+    """As roadgen writes the lane of a ramp: its section goes on before it, without a width."""
+    late = lane(-2, WIDTH.replace('"0"', '"60"', 1), "<link/>")
+    text = with_lane(WIDTH, late)
+    town = town_from(tmp_path, text)
+    assert kinds(town) == ["a lane whose first width starts late was taken as 0 m wide before it"]
+    assert metres(town) - metres(town_from(tmp_path, with_lane(WIDTH))) == pytest.approx(140.0, abs=1.0)
+    with pytest.raises(MapError, match=r"starts late .+ \(60.000 m\)"):
+        town_from(tmp_path, text, strict=True)
+    with pytest.raises(MapError, match=r"its first <border> starts 60.000 m behind its section"):
+        town_from(tmp_path, text.replace("width", "border"))
+
+
 UNUSUAL = {
     "a rule in small letters": ring().replace('junction="-1"', 'junction="-1" rule="rht"'),
     "no coefficients": with_lane('<width sOffset="0" a="3.5"/>'),

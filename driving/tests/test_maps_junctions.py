@@ -207,10 +207,3 @@ def test_links_of_temporary_lanes_are_passed_over(tmp_path: Path) -> None:
 def test_a_lane_that_all_share_is_driven_on(tmp_path: Path) -> None:
     shared = crossing().replace('type="driving"', 'type="shared"')
     assert same_town(town_from(tmp_path, shared), town_from(tmp_path, crossing()))
-
-
-def test_roads_that_cross_without_being_connected_are_one_warning(tmp_path: Path) -> None:
-    sections = element("roadSection", id=0, roadId=0, sStart=20, sEnd=24)
-    town = town_from(tmp_path, crossing(more=element("junction", sections, id=50, type="crossing")))
-    (finding,) = town.findings
-    assert finding.kind == "a crossing of roads that are not connected has no right of way"

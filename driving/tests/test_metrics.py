@@ -119,6 +119,16 @@ def test_ends_are_distinguished() -> None:
     assert unfinished.summary(lasted=False)["success"] == 0.0
 
 
+@pytest.mark.parametrize(("speed", "success"), [(0.0, 0.0), (0.49, 0.0), (0.51, 1.0)])
+def test_an_ego_that_stood_has_had_no_success(speed: float, success: float) -> None:
+    drive = Drive(speed=speed)
+    for _ in range(500):
+        drive.tick(speed)
+    assert drive.summary(lasted=True)["success"] == success
+    drive.tick(speed, arrived=True)
+    assert drive.summary(lasted=False)["success"] == 1.0
+
+
 def test_time_to_collision_is_the_least_and_its_share() -> None:
     drive = Drive(speed=5.0)
     for time in (math.inf, 2.0, 0.9, 0.95):

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
-from athrl_driving.maps.opendrive.bounds import MOST_CLOSE_MOVEMENTS, MOST_CLOSE_POINTS, MOST_POINTS
+from athrl_driving.maps.near_pairs import near_pairs, refuse_many
+from athrl_driving.maps.opendrive.bounds import MOST_CLOSE_MOVEMENTS, MOST_POINTS
 from athrl_driving.maps.opendrive.carriageways import LaneSegment
 from athrl_driving.maps.overlaps import CLEARANCE, SHARE_OF_WIDTH
 from athrl_driving.maps.standing_segments import Movement
@@ -71,7 +72,7 @@ def relations_of(movements: list[Movement]) -> Relations:
     # All pairs (movement over `first`, movement over `second`) for each pair of close segments.
     uses = np.diff(starts)
     repeats = uses[first] * uses[second]
-    _refuse_many(int(repeats.sum()), MOST_CLOSE_MOVEMENTS, "pairs of movements come close to each other")
+    refuse_many(int(repeats.sum()), MOST_CLOSE_MOVEMENTS, "pairs of movements come close to each other")
     pair = np.repeat(np.arange(len(first)), repeats)
     within = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
     use_a = starts[first[pair]] + within // uses[second[pair]]
@@ -111,7 +112,7 @@ def _offsets(movement: Movement) -> Floats:
 def _sampled(segments: list[LaneSegment]) -> _Points:
     length = np.array([segment.length for segment in segments])
     counts = np.maximum(2, np.ceil(length / _SPACING).astype(np.int64) + 1)
-    _refuse_many(int(counts.sum()), MOST_POINTS, "points lie on movements through junctions")
+    refuse_many(int(counts.sum()), MOST_POINTS, "points lie on movements through junctions")
     segment = np.repeat(np.arange(len(segments)), counts)
     place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     share = place / (counts[segment] - 1)
@@ -135,21 +136,8 @@ def _sampled(segments: list[LaneSegment]) -> _Points:
 
 def _last_close_points(points: _Points, segments: int) -> tuple[Integers, Integers, Floats]:
     """Return ordered pairs of segments, and the last place (m) on the first that is close to the second."""
-    column = np.floor((points.x - points.x.min()) / CLEARANCE).astype(np.int64) + 1
-    row = np.floor((points.y - points.y.min()) / CLEARANCE).astype(np.int64) + 1
-    columns = int(column.max()) + 2
-    cell = row * columns + column
-    order = np.argsort(cell, kind="stable")
-    sorted_cell = cell[order]
     keys, lasts = [], []
-    for shift in (-columns - 1, -columns, -columns + 1, -1, 0, 1, columns - 1, columns, columns + 1):
-        begin = np.searchsorted(sorted_cell, cell + shift)
-        count = np.searchsorted(sorted_cell, cell + shift, side="right") - begin
-        _refuse_many(int(count.sum()), MOST_CLOSE_POINTS, "pairs of points of movements lie close together")
-        a = np.repeat(np.arange(len(cell)), count)
-        b = order[
-            np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
-        ]
+    for a, b in near_pairs(points.x, points.y, CLEARANCE, "points of movements"):
         distance = np.hypot(points.x[a] - points.x[b], points.y[a] - points.y[b])
         close = distance < np.minimum(CLEARANCE, points.reach[a] + points.reach[b])
         close &= np.abs(points.height[a] - points.height[b]) <= ROAD_LEVEL_HEIGHT
@@ -157,11 +145,6 @@ def _last_close_points(points: _Points, segments: int) -> tuple[Integers, Intege
         lasts.append(points.s[a[close]])
     key, last = _greatest(np.concatenate(keys), np.concatenate(lasts))
     return key // segments, key % segments, last
-
-
-def _refuse_many(count: int, most: int, what: str) -> None:
-    if count > most:
-        raise ValueError(f"{count:,} {what}, at most {most:,} are allowed")
 
 
 def _greatest(key: Integers, value: Floats) -> tuple[Integers, Floats]:

@@ -8,7 +8,7 @@ has left a junction never has to wait with its rear in it, however close to each
 import logging
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from athrl_driving.maps.findings import MapError
 from athrl_driving.maps.opendrive.bounds import (
@@ -20,6 +20,7 @@ from athrl_driving.maps.opendrive.bounds import (
 from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
 from athrl_driving.maps.opendrive.merging import SHORTEST
 from athrl_driving.maps.overlaps import chain_from, overlap
+from athrl_driving.maps.splitting import split
 
 STANDING_LENGTH = 12.0
 """Metres of ordinary lane without a fork on which a vehicle may stand."""
@@ -160,8 +161,9 @@ def _take(
     for part in chain:
         if length < part.length:
             cut = length if forward else part.length - length
-            first, last = _split(carriageways, part.carriageway, cut, part)
-            (first if forward else last).junction = place
+            place_in_row = part.carriageway.lanes.index(part)
+            rest = split(carriageways, part.carriageway, cut / part.length)
+            (part if forward else rest.lanes[place_in_row]).junction = place
             return
         part.junction = place
         length -= part.length
@@ -169,33 +171,6 @@ def _take(
 
 def _place(segment: LaneSegment) -> str:
     return f"road {segment.carriageway.road.id} at {segment.carriageway.start:.0f} m"
-
-
-def _split(
-    carriageways: list[Carriageway], carriageway: Carriageway, length: float, along: LaneSegment
-) -> tuple[LaneSegment, LaneSegment]:
-    """Cut all lanes of a carriageway where `along` is `length` metres long; return both parts of `along`."""
-    share = length / along.length
-    cut = carriageway.start + (share if carriageway.forward else 1.0 - share) * (
-        carriageway.end - carriageway.start
-    )
-    start, end = (cut, carriageway.end) if carriageway.forward else (carriageway.start, cut)
-    rest = Carriageway(carriageway.road, carriageway.forward, start, end, [])
-    for segment in carriageway.lanes:
-        x, y, heading = segment.at(share * segment.length)
-        middle = segment.elevation + share * (segment.end_elevation - segment.elevation)
-        second = replace(
-            segment, x=x, y=y, heading=heading, length=(1.0 - share) * segment.length, elevation=middle
-        )
-        second.successors = segment.successors
-        second.carriageway = rest
-        segment.successors, segment.length, segment.end_elevation = [second], share * segment.length, middle
-        rest.lanes.append(second)
-    carriageway.start, carriageway.end = (
-        (carriageway.start, cut) if carriageway.forward else (cut, carriageway.end)
-    )
-    carriageways.insert(carriageways.index(carriageway) + 1, rest)
-    return along, rest.lanes[carriageway.lanes.index(along)]
 
 
 def standing_segments(name: str, segments: list[LaneSegment]) -> set[LaneSegment]:

@@ -13,6 +13,7 @@ from athrl_spaces.untrusted import one_line, parser_errors
 from numpy.typing import NDArray
 
 from athrl_driving.maps.conflicts import relations_of
+from athrl_driving.maps.crossings import make_junctions_of_crossings
 from athrl_driving.maps.findings import Finding
 from athrl_driving.maps.junctions import Junction, number_junctions
 from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals
@@ -168,6 +169,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     content, carriageways = roadway.content, roadway.carriageways
     skip_very_short(carriageways)
     make_junctions_of_forks(carriageways)
+    make_junctions_of_crossings(content.findings, carriageways)
     segments = all_segments(carriageways)
     standing = standing_segments(content.name, segments)
     drivable = drivable_part(carriageways, standing, find_movements(segments, standing))

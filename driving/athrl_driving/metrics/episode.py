@@ -15,6 +15,9 @@ from athrl_driving.metrics.state import COMFORT_BOUNDS, NO_COLLISION, WINDOW, Me
 COMPLETION_SPEED = 8.0
 """m/s at which an episode of random turns has to be driven to count as complete."""
 
+LEAST_PACE = 0.5
+"""m/s over the whole of an episode of random turns, below which an ego has not driven but stood."""
+
 LEAST_TIME_TO_COLLISION = 0.95
 """nuPlan's bound, s."""
 
@@ -107,8 +110,8 @@ def prepare_summary(metrics: MetricsState) -> None:
 def summary(metrics: MetricsState, environment: int, *, lasted: bool) -> dict[str, float]:
     """Return the metrics of one environment's episode.
 
-    `lasted` means that it had no destination and lasted until the time limit, which then counts as a success.
-    The end of the route, where a map ends, is an arrival as a destination is.
+    `lasted` means that it had no destination and lasted until the time limit, which then counts as a success
+    unless the ego stood. The end of the route, where a map ends, is an arrival as a destination is.
     docs/reference/metrics.md explains each metric. Shares are within 0..1; a rate is 0 or 1 for one episode.
     """
     e = environment
@@ -116,6 +119,7 @@ def summary(metrics: MetricsState, environment: int, *, lasted: bool) -> dict[st
     comfortable = metrics.comfortable[e].copy()
     _judge_end(metrics.window[e], ticks, float(metrics.motion[e, 2]), comfortable)
     shares = comfortable / max(ticks, 1)
+    pace = float(metrics.distance[e] / metrics.duration[e]) if ticks else 0.0
     collisions = int(metrics.infractions[e, 0] + metrics.infractions[e, 1])
     crash, out_of_road, arrived = collisions > 0, bool(metrics.out_of_road[e]), bool(metrics.arrived[e])
     completion = 1.0 if arrived else float(np.clip(metrics.distance[e] / metrics.goal[e], 0.0, 1.0))
@@ -126,7 +130,7 @@ def summary(metrics: MetricsState, environment: int, *, lasted: bool) -> dict[st
         "driving_score": completion * penalty,
         "route_completion": completion,
         "infraction_penalty": penalty,
-        "success": float((arrived or lasted) and not crash and not out_of_road),
+        "success": float((arrived or (lasted and pace >= LEAST_PACE)) and not crash and not out_of_road),
         "arrived": float(arrived),
         "crash": float(crash),
         "out_of_road": float(out_of_road),
@@ -139,7 +143,7 @@ def summary(metrics: MetricsState, environment: int, *, lasted: bool) -> dict[st
         "minimum_time_to_collision": min(
             float(metrics.minimum_time_to_collision[e]), LONGEST_TIME_TO_COLLISION
         ),
-        "mean_speed": float(metrics.distance[e] / metrics.duration[e]) if ticks else 0.0,
+        "mean_speed": pace,
         "mean_lateral_offset": float(metrics.lateral[e] / max(ticks, 1)),
         "distance": float(metrics.distance[e]),
         "duration": float(metrics.duration[e]),

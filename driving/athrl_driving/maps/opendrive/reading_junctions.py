@@ -20,16 +20,11 @@ def read_contact(reader: ElementReader, element: etree._Element) -> str:
 
 def read_junction(reader: ElementReader, content: OpenDrive, element: etree._Element) -> JunctionRecord:
     """Return a junction. Its boundary, surface, groups and paths for pedestrians are passed over."""
-    identifier, kind = reader.text(element, "id"), element.get("type", "default")
-    if kind == "crossing":
-        place = f"junction {identifier}, line {element.sourceline}"
-        content.findings.add(
-            "a crossing of roads that are not connected has no right of way", place, allowed=True
-        )
+    identifier = reader.text(element, "id")
     return JunctionRecord(
         id=identifier,
         name=one_line(element.get("name") or "")[:LONGEST_TEXT] or f"junction {identifier}",
-        type=kind,
+        type=element.get("type", "default"),
         connections=[
             _read_connection(reader, connection)
             for connection in element.iterchildren("connection")

@@ -119,12 +119,13 @@ def _complete_widths(reader: ElementReader, element: etree._Element, lane: Lane,
         lane.widths = [Cubic(begin, 0.0, 0.0, 0.0, 0.0, lane.line)]
         return
     late = records[0].s - begin
-    if round(late, 3) > LARGEST_GAP:
-        message = (
-            f"its first <width> or <border> starts {late:.3f} m behind its section, it must start with it"
-        )
+    if round(late, 3) > LARGEST_GAP and lane.widths:
+        reader.note(element, "a lane whose first width starts late was taken as 0 m wide before it", late)
+        lane.widths.insert(0, Cubic(begin, 0.0, 0.0, 0.0, 0.0, lane.line))
+    elif round(late, 3) > LARGEST_GAP:
+        message = f"its first <border> starts {late:.3f} m behind its section, it must start with it"
         raise reader.error(element, message)
-    if late > GAP:
+    elif late > GAP:
         reader.note(element, "a lane's first width was taken from the start of its section on", late)
 
 

@@ -8,6 +8,9 @@ from athrl_driving.maps.opendrive.gaps import close_gaps
 from athrl_driving.maps.opendrive.links import link_roads, link_within, road_ends
 from athrl_driving.maps.opendrive.merging import merged
 from athrl_driving.maps.opendrive.model import MapError, OpenDrive
+from athrl_driving.maps.opendrive.unlinked import link_lanes_that_meet
+
+_TYPES_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +38,19 @@ def build_roadway(content: OpenDrive) -> Roadway:
         link_within(content, road, own)
         carriageways += merged(own)
     if not carriageways:
-        raise MapError(f"{content.name}: there is no driving lane in the file")
+        raise MapError(f"{content.name}: there is no driving lane in the file{_types_of_lanes(content)}")
     link_roads(content, road_ends(carriageways))
+    link_lanes_that_meet(content, carriageways)
     close_gaps(content, carriageways)
     return Roadway(content, carriageways, metres / 1000.0, _junction_arms(content))
+
+
+def _types_of_lanes(content: OpenDrive) -> str:
+    """Return what the lanes are that no car drives on, for an error; nothing where there are none."""
+    sections = (section for road in content.roads.values() for section in road.sections)
+    types = sorted({lane.type for section in sections for lane in section.lanes.values()})
+    named = ", ".join(types[:_TYPES_NAMED]) + (", ..." if len(types) > _TYPES_NAMED else "")
+    return f", only {named}" if types else ""
 
 
 def _junction_arms(content: OpenDrive) -> Counter[int]:

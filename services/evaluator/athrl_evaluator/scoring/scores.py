@@ -22,7 +22,7 @@ class EpisodeResult:
     collision: bool
     off_lane: bool
     full: bool  # it lasted until the time limit, or until the map ended
-    success: bool  # arrived, or without a destination was full, without collision or lane exit
+    success: bool  # arrived, or without a destination drove on to the end, without collision or lane exit
     driving_score: float  # CARLA leaderboard's, 0 to 1
     comfort: float  # share of the ticks within all of nuPlan's bounds
     time_to_collision_kept: float  # share of the ticks with more than nuPlan's 0.95 s

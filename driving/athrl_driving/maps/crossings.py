@@ -1,0 +1,267 @@
+"""Roads that cross on one level without a junction: the place where they cross is made into one.
+
+Otherwise vehicles would drive through each other there. Files have such crossings where an exporter wrote no
+junction, and where a bridge has no height.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from athrl_driving.maps.disjoint_sets import DisjointSets
+from athrl_driving.maps.findings import Findings
+from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
+from athrl_driving.maps.near_pairs import near_pairs
+from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
+from athrl_driving.maps.overlaps import CLEARANCE, SHARE_OF_WIDTH
+from athrl_driving.maps.splitting import split
+from athrl_driving.maps.standing_segments import STANDING_LENGTH, predecessors_of
+
+FOUND = "roads cross without a junction: at the crossing one vehicle at a time drives, as in a junction"
+
+_LEAST_ANGLE = math.radians(15.0)
+"""Lanes that meet at a smaller angle run beside each other: no crossing, but a drawing that is not exact."""
+
+_BEFORE = 1.0
+"""Metres that a vehicle stops before the place where it would be in the other one's way."""
+
+_CUT = 2.0
+"""Metres between places where a road is cut, about."""
+
+_APART = 25.0
+"""Metres to drive from one lane's end of a crossing to the other's, below which it is one bend."""
+
+_CHORD = 4.0
+"""Metres of lane that are taken as straight."""
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Links = dict[LaneSegment, list[LaneSegment]]
+
+
+class _Crossing(NamedTuple):
+    """Two segments, where on them they cross (m) and at which angle (rad)."""
+
+    segments: tuple[LaneSegment, LaneSegment]
+    places: tuple[float, float]
+    angle: float
+
+
+class _Stretch(NamedTuple):
+    """A part of a segment (m, m) on which a vehicle is in the way at a crossing."""
+
+    begin: float
+    end: float
+    crossing: int
+
+
+class _Chords(NamedTuple):
+    """Segments as polylines: N chords from one point to the next."""
+
+    segment: Integers
+    """[N] its number."""
+    s: Floats
+    """[N, 2] m along the segment, of both ends."""
+    points: Floats
+    """[N, 2, 2] of both ends: x and y, m."""
+
+
+def make_junctions_of_crossings(findings: Findings, carriageways: list[Carriageway]) -> None:
+    """Make the parts of ordinary lanes junctions on which they cross each other on one level.
+
+    Each crossing is noted. Raises `ValueError` where too many lanes lie close together.
+    """
+    segments = [lane for carriageway in carriageways for lane in carriageway.lanes]
+    ordinary = [segment for segment in segments if not segment.junction]
+    if not ordinary:
+        return
+    before = predecessors_of(segments)
+    crossings = [crossing for crossing in _crossings(ordinary) if not _is_one_bend(crossing)]
+    if not crossings:
+        return
+    stretches = _stretches(crossings, before)
+    names = _names(findings, crossings, stretches)
+    for carriageway in list(carriageways):
+        if any(segment in stretches for segment in carriageway.lanes):
+            _mark(carriageways, carriageway, stretches, names)
+
+
+def _crossings(segments: list[LaneSegment]) -> Iterator[_Crossing]:
+    """Yield where centre lines cross on one level."""
+    chords = _chords(segments)
+    middle = chords.points.mean(axis=1)
+    for a, b in near_pairs(middle[:, 0], middle[:, 1], _CHORD, "parts of lanes"):
+        other = chords.segment[a] < chords.segment[b]
+        a, b = a[other], b[other]
+        for place, share_a, share_b in _meeting(chords.points[a], chords.points[b]):
+            first, second = int(a[place]), int(b[place])
+            pair = segments[chords.segment[first]], segments[chords.segment[second]]
+            places = _along(chords.s[first], share_a), _along(chords.s[second], share_b)
+            angle = _angle(pair, places)
+            if angle >= _LEAST_ANGLE and _on_one_level(pair, places):
+                yield _Crossing(pair, places, angle)
+
+
+def _chords(segments: list[LaneSegment]) -> _Chords:
+    numbers, s, points = [], [], []
+    for number, segment in enumerate(segments):
+        stations = np.linspace(0.0, segment.length, max(1, math.ceil(segment.length / _CHORD)) + 1)
+        numbers.append(np.full(len(stations) - 1, number))
+        s.append(np.stack([stations[:-1], stations[1:]], axis=1))
+        half = 0.5 * segment.curvature * stations
+        chord, direction = stations * np.sinc(half / np.pi), segment.heading + half
+        places = np.stack(
+            [segment.x + chord * np.cos(direction), segment.y + chord * np.sin(direction)], axis=1
+        )
+        points.append(np.stack([places[:-1], places[1:]], axis=1))
+    return _Chords(np.concatenate(numbers), np.concatenate(s), np.concatenate(points))
+
+
+def _meeting(first: Floats, second: Floats) -> Iterator[tuple[int, float, float]]:
+    """Yield which pairs of chords [n, 2, 2] meet, and at which share of each."""
+    along, beside = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0]
+    between = second[:, 0] - first[:, 0]
+    area = _cross(along, beside)
+    level = np.abs(area) > 1e-9
+    area = np.where(level, area, 1.0)
+    share_a, share_b = _cross(between, beside) / area, _cross(between, along) / area
+    meets = level & (share_a >= 0.0) & (share_a < 1.0) & (share_b >= 0.0) & (share_b < 1.0)
+    for place in np.flatnonzero(meets).tolist():
+        yield place, float(share_a[place]), float(share_b[place])
+
+
+def _cross(first: Floats, second: Floats) -> Floats:
+    return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+
+
+def _along(ends: Floats, share: float) -> float:
+    return float(ends[0] + share * (ends[1] - ends[0]))
+
+
+def _angle(pair: tuple[LaneSegment, LaneSegment], places: tuple[float, float]) -> float:
+    """Return the angle between two lanes at a crossing, 0 to a right one."""
+    first, second = (segment.at(s)[2] for segment, s in zip(pair, places, strict=True))
+    return math.asin(min(1.0, abs(math.sin(first - second))))
+
+
+def _on_one_level(pair: tuple[LaneSegment, LaneSegment], places: tuple[float, float]) -> bool:
+    low, high = sorted(
+        segment.elevation + (segment.end_elevation - segment.elevation) * s / segment.length
+        for segment, s in zip(pair, places, strict=True)
+    )
+    return high - low <= ROAD_LEVEL_HEIGHT
+
+
+def _is_one_bend(crossing: _Crossing) -> bool:
+    """Tell whether a lane crosses one that it leads to at once: where linked ends do not meet exactly."""
+    (first, second), (here, there) = crossing.segments, crossing.places
+    return _leads(first, here, second, there) or _leads(second, there, first, here)
+
+
+def _leads(origin: LaneSegment, s: float, target: LaneSegment, until: float) -> bool:
+    """Tell whether a way of less than `_APART` leads from a place on one segment to one on another."""
+    work, seen = [(origin, origin.length - s)], {origin}
+    while work:
+        segment, length = work.pop()
+        for after in segment.successors:
+            if after is target and length + until < _APART:
+                return True
+            if after not in seen and length + after.length < _APART:
+                seen.add(after)
+                work.append((after, length + after.length))
+    return False
+
+
+def _stretches(crossings: list[_Crossing], before: Links) -> dict[LaneSegment, list[_Stretch]]:
+    """Return by segment on which parts of it a vehicle is in the way of another at a crossing."""
+    found: dict[LaneSegment, list[_Stretch]] = defaultdict(list)
+    for number, crossing in enumerate(crossings):
+        wide = SHARE_OF_WIDTH * sum(segment.width for segment in crossing.segments)
+        reach = min(CLEARANCE, wide) / math.sin(crossing.angle) + _BEFORE
+        for segment, s in zip(crossing.segments, crossing.places, strict=True):
+            for covered, begin, end in _covered(segment, s - reach, s + reach, before):
+                found[covered].append(_Stretch(begin, end, number))
+    return {segment: sorted(own) for segment, own in found.items()}
+
+
+def _covered(
+    segment: LaneSegment, begin: float, end: float, before: Links
+) -> Iterator[tuple[LaneSegment, float, float]]:
+    """Yield a stretch of a segment, and what of it lies on ordinary ones before and behind it."""
+    yield segment, max(begin, 0.0), min(end, segment.length)
+    earlier, missing = segment, -begin
+    while missing > 0.0 and len(before[earlier]) == 1 and not before[earlier][0].junction:
+        earlier = before[earlier][0]
+        yield earlier, max(earlier.length - missing, 0.0), earlier.length
+        missing -= earlier.length
+    later, missing = segment, end - segment.length
+    while missing > 0.0 and len(later.successors) == 1 and not later.successors[0].junction:
+        later = later.successors[0]
+        yield later, 0.0, min(missing, later.length)
+        missing -= later.length
+
+
+def _names(
+    findings: Findings, crossings: list[_Crossing], stretches: dict[LaneSegment, list[_Stretch]]
+) -> list[str]:
+    """Return the junction of each crossing; those between which no vehicle could stand are one."""
+    joined = DisjointSets(range(len(crossings)))
+    for own in stretches.values():
+        end, latest = -math.inf, own[0].crossing
+        for stretch in own:
+            if stretch.begin - end < STANDING_LENGTH:
+                joined.join(latest, stretch.crossing)
+            if stretch.end > end:
+                end, latest = stretch.end, stretch.crossing
+    names = {}
+    for root in joined.sets():
+        place = _place(crossings[root])
+        findings.add(FOUND, place, allowed=True)
+        names[root] = f"crossing of {place}"
+    return [names[joined.root(number)] for number in range(len(crossings))]
+
+
+def _place(crossing: _Crossing) -> str:
+    """Say where on the two roads a crossing is."""
+    places = []
+    for segment, s in zip(crossing.segments, crossing.places, strict=True):
+        carriageway, share = segment.carriageway, s / segment.length
+        share = share if carriageway.forward else 1.0 - share
+        station = carriageway.start + share * (carriageway.end - carriageway.start)
+        places.append(f"road {carriageway.road.id} at {station:.0f} m")
+    return " and ".join(places)
+
+
+def _mark(
+    carriageways: list[Carriageway],
+    carriageway: Carriageway,
+    stretches: dict[LaneSegment, list[_Stretch]],
+    names: list[str],
+) -> None:
+    """Cut a carriageway into parts, and make junctions of their lanes where those cross others."""
+    longest = max(segment.length for segment in carriageway.lanes)
+    steps = max(1, int(longest / _CUT))
+    # By lane, in the order of the carriageway: the crossing of each step, or none.
+    marks: list[list[str]] = []
+    for segment in carriageway.lanes:
+        own = [""] * steps
+        for begin, end, crossing in stretches.get(segment, []):
+            first = int(steps * begin / segment.length)
+            last = min(max(math.ceil(steps * end / segment.length), first + 1), steps)
+            own[first:last] = [names[crossing]] * (last - first)
+        marks.append(own)
+    columns = list(zip(*marks, strict=True))
+    done = 0
+    for step in range(1, steps + 1):
+        if step < steps and columns[step] == columns[step - 1]:
+            continue
+        part = carriageway
+        if step < steps:
+            carriageway = split(carriageways, carriageway, (step - done) / (steps - done))
+        for segment, name in zip(part.lanes, columns[step - 1], strict=True):
+            segment.junction = segment.junction or name
+        done = step
