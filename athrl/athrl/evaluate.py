@@ -155,7 +155,9 @@ def find_driver(policy: str, option: str = "--policy ") -> str | Path:
         from athrl_evaluator.policies.shipped import shipped_names, shipped_policy
     if policy in shipped_names():
         return shipped_policy(policy)
-    wrong = "is a folder" if policy and path.is_dir() else "there is no such file"
+    wrong = "there is no such file"
+    if policy and path.exists():
+        wrong = "is a folder" if path.is_dir() else "is a pipe, socket or device"
     names = [*REFERENCE_DRIVERS, *shipped_names()]
     near = difflib.get_close_matches(policy, names, n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]}?" if near else ""

@@ -1,7 +1,7 @@
 """`athrl router`: passes messages between the services of a node or network and their learner.
 
 It stores nothing, so it may be killed and restarted at any time: clients keep unacknowledged chunks, and both
-sides reconnect.
+sides reconnect. With a run's folder as `--connect` it follows the learner to other machines.
 """
 
 from __future__ import annotations
@@ -38,12 +38,14 @@ from athrl_protocol.transport.size_filter import largest_chunk_of
 from athrl.options import (
     DEFAULTS,
     CertificatesOption,
-    ConnectOption,
+    FollowOption,
     LiveRunOption,
     MetricsListenOption,
     NameOption,
     logged_refusals,
 )
+from athrl.rendezvous.following import follow
+from athrl.rendezvous.run_folder import folder_in
 from athrl.service_names import own_name
 from athrl.stopping import stop_on_signal
 
@@ -61,36 +63,43 @@ def router(
         str,
         typer.Option(metavar="ADDRESS", help="Address at which services connect to this router."),
     ],
-    connect: ConnectOption = DEFAULTS.network.listen,
+    connect: FollowOption = DEFAULTS.network.listen,
     run: LiveRunOption = None,
     name: NameOption = None,
     certificates: CertificatesOption = None,
     metrics_listen: MetricsListenOption = "",
 ) -> None:
     """Route messages between actors, evaluators, viewers and the learner; ends with the run."""
+    folder = folder_in(connect)  # which may have the certificates
+    wanted = run if folder is None else folder.name
     shown = find_certificates(certificates, ROLE)
     if shown is not None:
         shown.check_may_serve(ROLE)
-    at, learner = (complete_address(address, secure=shown is not None) for address in (listen, connect))
-    with stop_on_signal() as stop, logged_refusals(certificates is not None):
-        run_file = _await_run(connect, run, stop)
+    at = complete_address(listen, secure=shown is not None)
+    learner = f"named in {folder}" if folder else f"at {complete_address(connect, secure=shown is not None)}"
+
+    def serve(address: str, over: threading.Event) -> None:
+        run_file = _await_run(address, wanted, over)
         if run_file is None:
             return
         with ExitStack() as stack:
             session = stack.enter_context(
                 open_router(
                     listen=listen,
-                    connect=connect,
+                    connect=address,
                     run=run_file.run.name,
                     certificates=certificates,
                     largest_chunk=largest_chunk_of(run_file),
                 )
             )
             stack.callback(drain_incoming, session)
-            log.info("router for run %s at %s, its learner at %s", run_file.run.name, at, learner)
+            log.info("router for run %s at %s, its learner %s", run_file.run.name, at, learner)
             figures = ServiceFigures(ROUTER, {"run": run_file.run.name})
             stack.enter_context(serve_metrics(metrics_listen, figures))
-            _stay(session, run_file.run.name, name or own_name(), figures, stop)
+            _stay(session, run_file.run.name, name or own_name(), figures, over)
+
+    with stop_on_signal() as stop, logged_refusals(shown is not None):
+        follow(connect, stop, serve)
 
 
 def _await_run(connect: str, run: str | None, stop: threading.Event) -> RunFile | None:

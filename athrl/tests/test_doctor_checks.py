@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from athrl.certificates import _load_authority, _new_role, _write_role, make_all
-from athrl.doctor import disk, installation, machine, network, round_trip
+from athrl.doctor import command, disk, installation, machine, network, round_trip
 from athrl.doctor.finding import Finding, Level, findings_of, ok
 from athrl.doctor.round_trip import count, delivery_trial, synthetic_chunk
 from athrl.errors import CommandError
@@ -20,6 +20,7 @@ from athrl_driving.kernels.machine_code import copy_code
 from athrl_learner import factories
 from athrl_learner.log import Kind, SegmentLog, numbered_segments
 from athrl_protocol import Chunk, encode_chunk
+from athrl_protocol.announcements.address_file import ADDRESS_FILE
 from athrl_protocol.run_file import RunFile, read_run_file
 from athrl_protocol.security.certificates import ROLES
 
@@ -51,6 +52,17 @@ def worst(found: list[Finding]) -> Finding:
 def make_again(folder: Path, role: str, *, as_role: str, days: int) -> None:
     authority = _load_authority(folder)
     _write_role(folder / role, _new_role(authority, as_role, HOSTS, days), authority)
+
+
+def test_folder_of_a_run_leads_to_its_learner(tmp_path: Path, free_address: Callable[[], str]) -> None:
+    def found() -> Finding:
+        checks = dict(command._checks(settings(), str(tmp_path), None))
+        (finding,) = findings_of("learner", checks["learner"])
+        return finding
+
+    assert f"no learner runs there: {tmp_path} has no {ADDRESS_FILE}" in found().seen
+    (tmp_path / ADDRESS_FILE).write_text(address := free_address())
+    assert f"no learner at {address}" in found().seen
 
 
 def test_good_certificates_are_good(folder: Path) -> None:

@@ -73,6 +73,7 @@ def test_driver_is_a_reference_driver_a_file_or_a_policy_by_name(folder: Path) -
         ("gone.onnx", "--policy gone.onnx: there is no such file, and it is none of random"),
         ("some/where", "--policy some/where: there is no such file"),
         (".", "--policy .: is a folder"),
+        ("/dev/null", "--policy /dev/null: is a pipe, socket or device, and it is none of"),
     ],
 )
 def test_driver_that_there_is_not_is_told_in_one_line(folder: Path, policy: str, told: str) -> None:

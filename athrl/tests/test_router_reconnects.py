@@ -1,4 +1,4 @@
-"""A router reconnects to a learner that is connected and does not answer, and only then."""
+"""A router reconnects to a learner that is connected and does not answer, and to one that has moved."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -17,10 +18,12 @@ from athrl_protocol import (
     RunFile,
     RunState,
     StatePublisher,
+    fetch_run_file,
     open_session,
     read_run_file,
     serve_run_file,
 )
+from athrl_protocol.announcements.address_file import ADDRESS_FILE
 
 PATIENCE = 30.0
 RUN = "routed"
@@ -99,3 +102,26 @@ def test_router_connects_anew_to_a_learner_that_is_there_and_silent(
         router.kill()
     assert router.returncode == 0
     assert f"{address} is connected and does not answer: reconnecting" in told
+
+
+@pytest.mark.timeout(240)
+def test_router_follows_the_learner_of_a_folder_to_another_address(
+    tmp_path: Path, free_address: Callable[[], str]
+) -> None:
+    (folder := tmp_path / RUN).mkdir()
+    run_file, at = read_run_file(None, [f"run.name={RUN}"]), free_address()
+    words = ["router", "--listen", at, "--connect", str(folder)]
+    with ExitStack() as first, ExitStack() as second:
+        (folder / ADDRESS_FILE).write_text(address := free_address())
+        there = _Learner(address, run_file, first)
+        router = subprocess.Popen([sys.executable, "-m", "athrl", *words], stderr=subprocess.DEVNULL)
+        second.callback(router.kill)
+        _await(lambda: there.came > 0)
+        first.close()
+        (folder / ADDRESS_FILE).write_text(address := free_address())
+        elsewhere = _Learner(address, run_file, second)
+        _await(lambda: elsewhere.came > 0)
+        client = second.enter_context(open_session(connect=at, timeout=PATIENCE))
+        assert fetch_run_file(client, RUN, timeout=PATIENCE).run.name == RUN
+        router.send_signal(signal.SIGTERM)
+        assert router.wait(PATIENCE) == 0

@@ -52,6 +52,12 @@ def test_override_of_text_needs_no_quotes(written: str) -> None:
     assert read_run_file(None, ["network.listen=tcp/0.0.0.0:1234"]).network.listen == "tcp/0.0.0.0:1234"
 
 
+def test_mark_of_the_encoding_at_the_beginning_is_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("[run]\nname = 'marked'\n", encoding="utf-8-sig")
+    assert read_run_file(path).run.name == "marked"
+
+
 def test_override_takes_toml_values() -> None:
     run_file = read_run_file(
         None, ["replay.prioritised=true", "exploration.final_noise_scale=1e-3", "run.seed=1_000"]

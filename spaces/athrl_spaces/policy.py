@@ -25,6 +25,9 @@ MOST_LEVELS, MOST_ENTRIES, MOST_CHOICES, LARGEST_STATE = 16, 256, 4096, 65_536
 MOST_SEEN, LONGEST_NAME, LONGEST_TEXT, LARGEST_NUMBER = 64, 256, 2**20, 1e9
 """Bounds for files from other sources; `MOST_SEEN` is of channels, and of entries of the motion vector."""
 
+LARGEST_ARTEFACT = 320 * 2**20
+"""Bytes of a policy's file. The paper's planner has 12 MB; opening takes three times as much memory."""
+
 
 class InvalidDescription(ValueError):  # noqa: N818  (the name says what is wrong)
     """A text is not a valid description of a policy; the message is one line for the user."""

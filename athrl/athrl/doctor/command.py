@@ -18,6 +18,7 @@ from athrl.doctor import disk, installation, live_run, machine, network, round_t
 from athrl.doctor.finding import Check, Finding, Level, findings_of
 from athrl.errors import CommandError
 from athrl.options import CertificatesOption, JsonOption, LiveRunOption, RunFileOption, SetOption, overrides
+from athrl.rendezvous.run_folder import folder_in, learner_address
 
 FAILED = 1
 """Exit code if a check has failed; warnings are no failures."""
@@ -27,7 +28,11 @@ _STYLES = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILED: "bold red"}
 def doctor(
     connect: Annotated[
         str | None,
-        typer.Option("--connect", metavar="ADDRESS", help="Also check the run at this address."),
+        typer.Option(
+            "--connect",
+            metavar="ADDRESS",
+            help="Also check the run at this address, or that of this folder of a run.",
+        ),
     ] = None,
     run: LiveRunOption = None,
     as_json: JsonOption = False,
@@ -38,6 +43,8 @@ def doctor(
     """Check whether this installation and this machine are ready for a run, and the state of a live run."""
     with contextlib.suppress(CommandError):  # on a machine that only runs actors
         runs.declare_installed_planners()
+    if connect is not None:
+        folder_in(connect)  # its certificates are checked, too
     checks = _checks(runs.new_settings(run_file, overrides(settings)), connect, run)
     console = Console(soft_wrap=True, highlight=False)
     found: list[Finding] = []
@@ -91,4 +98,4 @@ def _checks(settings: RunFile, connect: str | None, run: str | None) -> Iterator
     yield "certificates", lambda: network.certificates(settings)
     yield "delivery", lambda: round_trip.round_trip(settings)
     if connect is not None:
-        yield "learner", lambda: live_run.live_run(connect, run)
+        yield "learner", lambda: live_run.live_run(learner_address(connect), run)

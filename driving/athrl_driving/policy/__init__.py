@@ -3,10 +3,11 @@
 Needs `onnxruntime` (`pip install athrl-driving[policy]`) and nothing that trains.
 """
 
+from athrl_spaces.policy import LARGEST_ARTEFACT
+
 from athrl_driving.policy.artefact import InvalidPolicy
 from athrl_driving.policy.batch import BatchStep, EnvironmentBatch, config_of, environment_config
 from athrl_driving.policy.exploration import Exploration, ExplorationNoise
-from athrl_driving.policy.graph.checks import LARGEST_ARTEFACT
 from athrl_driving.policy.guard import (
     AnyBatch,
     EnvironmentFailure,

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from athrl_spaces import Discrete, LevelDescription
+from athrl_spaces.policy import LARGEST_ARTEFACT
 from athrl_spaces.untrusted import UntrustedFile, one_line, read_untrusted
 from numpy.typing import NDArray
 
 from athrl_driving.policy.artefact import Artefact, InvalidPolicy, takes_noise
-from athrl_driving.policy.graph.checks import LARGEST_ARTEFACT
 
 Arrays = Mapping[str, NDArray[np.float32]]
 """An array for each level, or for some of them, by the level's name."""

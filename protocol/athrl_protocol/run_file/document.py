@@ -50,7 +50,7 @@ def read_document(path: Path) -> dict[str, Any]:
     with parser_errors(lambda reason: RunFileError(f"{path}: {reason}")):
         content = read_untrusted(path, MOST_BYTES)
     try:
-        text = content.decode()
+        text = content.decode("utf-8-sig")  # some editors begin a file with a mark of its encoding
     except UnicodeDecodeError:
         raise RunFileError(f"{path}: is not a TOML file, which is UTF-8 text") from None
     values = parse_document(text, str(path))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
+from datetime import date, time
 from typing import Any
 
 from athrl_spaces.untrusted import one_line
@@ -13,7 +14,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def to_toml_value(value: Any) -> str:
-    """Return a number, text, truth value, list or table as TOML, in one line."""
+    """Return a number, text, truth value, date, list or table as TOML, in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -24,6 +25,8 @@ def to_toml_value(value: Any) -> str:
         return f"{{{', '.join(pairs)}}}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(to_toml_value(entry) for entry in value)}]"
+    if isinstance(value, date | time):
+        return value.isoformat()
     return repr(value)
 
 

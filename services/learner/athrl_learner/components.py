@@ -22,7 +22,7 @@ from athrl_learner.intake.arrivals import Arrivals
 from athrl_learner.intake.store import ExperienceStore
 from athrl_learner.log import SegmentLog
 from athrl_learner.log.disk_space import DiskSpace, disk_warnings
-from athrl_learner.publication import Publication
+from athrl_learner.publication import Publication, require_accepted
 from athrl_learner.run_folder import RunFolder
 from athrl_learner.training.memory import require_memory
 from athrl_learner.training.trainer import Trainer
@@ -61,13 +61,24 @@ class Components:
     folder: RunFolder
 
 
-def check_memory(run_file: RunFile) -> None:
-    """Check that the replay of a new run fits into this machine; it is not allocated before it is filled.
+def check_new_run(run_file: RunFile) -> None:
+    """Check that the replay of a new run fits into this machine, and its policy into actors.
+
+    The replay is not allocated before it is filled.
 
     Raises:
         TooLittleMemory: it needs more memory than this machine has.
+        WrongPlanner: the policy is larger than actors accept.
     """
-    _affordable_replay(run_file, factories.make_agent(run_file))
+    agent = factories.make_agent(run_file)
+    _affordable_replay(run_file, agent)
+    _accepted_exporter(run_file, agent)
+
+
+def _accepted_exporter(run_file: RunFile, agent: Agent) -> PolicyExporter:
+    exporter = PolicyExporter(agent)
+    require_accepted(exporter.artefact(), run_file.planner.kind)
+    return exporter
 
 
 def _affordable_replay(run_file: RunFile, agent: Agent) -> SequenceReplay:
@@ -123,6 +134,7 @@ def make_components(
     Raises:
         CannotResume: `content` or the log does not fit the run file.
         TooLittleMemory: the replay needs more memory than this machine has.
+        WrongPlanner: the policy is larger than actors accept.
     """
     arrivals = Arrivals()
     agent = factories.make_agent(run_file)
@@ -140,7 +152,7 @@ def make_components(
         raise
     publication = Publication(
         deliver,
-        PolicyExporter(agent),
+        _accepted_exporter(run_file, agent),
         folder,
         arrivals,
         seconds=run_file.learner.publish_seconds,

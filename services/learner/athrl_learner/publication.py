@@ -10,8 +10,10 @@ from pathlib import Path
 
 from athrl_planners import PolicyExporter
 from athrl_protocol import PolicyUpdate
+from athrl_spaces.policy import LARGEST_ARTEFACT
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_json
 
+from athrl_learner.errors import WrongPlanner
 from athrl_learner.intake.arrivals import Arrivals
 from athrl_learner.log import count_of
 from athrl_learner.run_folder import RunFolder, write_atomically
@@ -33,6 +35,19 @@ def recorded_version(facts: Path) -> int:
             return count_of(read_json(facts)["version"])
     except UntrustedFile:
         return -1
+
+
+def require_accepted(artefact: bytes, kind: str) -> None:
+    """Refuse a planner whose policy every actor and evaluator would refuse, before anything is trained.
+
+    Raises:
+        WrongPlanner: its file is larger than they accept.
+    """
+    if len(artefact) > LARGEST_ARTEFACT:
+        raise WrongPlanner(
+            f"planner.kind = {kind}: its policy has {len(artefact) / 2**20:,.0f} MiB, more than the "
+            f"{LARGEST_ARTEFACT / 2**20:,.0f} that actors accept: set the widths of its layers to less"
+        )
 
 
 class Publication:

@@ -30,7 +30,7 @@ from athrl_protocol.transport.size_filter import largest_chunk_of
 
 from athrl_learner.checkpoint.resume import checkpoint_to_resume
 from athrl_learner.checkpoint.snapshot import saved_version
-from athrl_learner.components import check_memory, make_components
+from athrl_learner.components import check_new_run, make_components
 from athrl_learner.connections import NAME, connect
 from athrl_learner.errors import CannotResume
 from athrl_learner.learner import Learner
@@ -87,9 +87,9 @@ def run_learner(
 
     Raises:
         LearnerError: the folder is taken, in use, cannot be resumed, or the last checkpoint cannot be written
-            there; or no planner matches the run file; or this machine lacks the requested device or the
-            memory for the replay, and nothing has been written; or training has diverged after the newest
-            checkpoint.
+            there; or no planner matches the run file, or its policy is larger than actors accept; or this
+            machine lacks the requested device or the memory for the replay, and nothing has been written; or
+            training has diverged after the newest checkpoint.
         ProtocolError: an address is in use, `run.toml` is not valid, no client would accept the certificate,
             or a run that had certificates is resumed without them.
     """
@@ -158,7 +158,7 @@ def check_run(run_file: RunFile | None, *, resume: Path | None = None) -> str:
         folder = stack.enter_context(RunFolder(path))
         content = checkpoint_to_resume(folder, resuming=resume is not None)
         if resume is None:
-            check_memory(run_file)
+            check_new_run(run_file)
             return f"run {run_file.run.name} can start in {path}"
         components = make_components(stack, run_file, folder, content, deliver=_to_nobody)
         steps = components.store.environment_steps

@@ -38,6 +38,43 @@ def test_a_killed_learner_leaves_no_lock_behind(tmp_path):
         pass
 
 
+def test_a_run_that_is_refused_leaves_nothing_behind(tmp_path):
+    with pytest.raises(LearnerError, match="refused"), RunFolder(tmp_path / "runs" / "small"):
+        raise LearnerError("refused")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_that_hold_something_or_were_there_stay(tmp_path):
+    (tmp_path / "logs" / "logs").mkdir(parents=True)
+    (tmp_path / "empty").mkdir()
+    for name in ("logs", "empty", "missing"):
+        with RunFolder(tmp_path / name):
+            pass
+    with RunFolder(tmp_path / "run") as folder:
+        folder.lay_out("[run]\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "logs", "run"]
+    assert (tmp_path / "run" / "run.toml").exists()
+    assert [path.name for path in (tmp_path / "logs").iterdir()] == ["logs"]
+
+
+def test_lock_whose_file_was_removed_meanwhile_is_no_lock(tmp_path, monkeypatch):
+    """Another learner that is refused may remove the file after this one has opened it."""
+    lock, seen = fcntl.flock, []
+
+    def removed_first(file, how):
+        if not seen:
+            seen.append(file)
+            (tmp_path / "run" / "learner.lock").unlink()
+            (tmp_path / "run").rmdir()
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", removed_first)
+    with RunFolder(tmp_path / "run"):
+        monkeypatch.undo()
+        with pytest.raises(RunFolderInUse), RunFolder(tmp_path / "run"):
+            pass
+
+
 def test_a_new_run_never_overwrites_another(tmp_path):
     with RunFolder(tmp_path / "run") as folder:
         folder.require_unused()

@@ -1,5 +1,6 @@
 """Whole runs over loopback with an actor that speaks the real protocol: start, end, stop, kill, resume."""
 
+import functools
 import json
 import logging
 import subprocess
@@ -13,10 +14,18 @@ from pathlib import Path
 
 import onnx
 import pytest
-from athrl_learner import CannotResume, RunFolderInUse, RunFolderTaken, Summary, check_run, run_learner
+from athrl_learner import (
+    CannotResume,
+    RunFolderInUse,
+    RunFolderTaken,
+    Summary,
+    check_run,
+    publication,
+    run_learner,
+)
 from athrl_learner import learner as learner_module
 from athrl_learner.checkpoint import newest_intact_checkpoint
-from athrl_learner.errors import TooLittleMemory
+from athrl_learner.errors import TooLittleMemory, WrongPlanner
 from athrl_protocol import (
     AddressInUse,
     Phase,
@@ -257,6 +266,15 @@ def test_run_that_can_start_starts_after_a_check(run_file):
         check_run(run_file)
     with pytest.raises(TooLittleMemory, match=r"replay\.capacity"):
         check_run(changed(changed(run_file, "run", name="large"), "replay", capacity=2**40))
+    assert not folder_of(run_file).with_name("large").exists()
+
+
+def test_planner_whose_policy_no_actor_accepts_is_refused_before_it_trains(run_file, monkeypatch):
+    monkeypatch.setattr(publication, "LARGEST_ARTEFACT", 2**10)
+    for attempt in (check_run, functools.partial(run_learner, stop=threading.Event())):
+        with pytest.raises(WrongPlanner, match=r"its policy has .* MiB, more than the .* that actors accept"):
+            attempt(run_file)
+        assert not (folder_of(run_file) / "run.toml").exists()
 
 
 def test_a_resumed_run_follows_the_settings_it_is_given(run_file, fake_actor, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from athrl_spaces.policy import LARGEST_ARTEFACT
 from athrl_spaces.untrusted import one_line
 from google.protobuf.message import DecodeError, Message
 from google.protobuf.unknown_fields import UnknownFieldSet
@@ -12,8 +13,6 @@ from athrl_driving.policy.graph.onnx_model_pb2 import Graph, Model, ValueInfo
 from athrl_driving.policy.graph.operators import MANY, OPERATORS
 from athrl_driving.policy.graph.values import MOST_DIMENSIONS, NodeView, Value, constant
 
-LARGEST_ARTEFACT = 320 * 2**20
-"""Bytes. The paper's planner has 12 MB; opening takes three times as much memory."""
 MOST_PARTS = 100_000
 """Nodes, their attributes, names of their inputs, constants, ...; the paper's planner has 2362."""
 MOST_BYTES = 512 * 2**20
