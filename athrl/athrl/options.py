@@ -21,6 +21,14 @@ DEFAULTS = RunFile()
 WHAT, WHERE = "What to run", "Machine and network"
 """Groups of options in the help."""
 
+
+def given_folder(text: str) -> Path:
+    """The folder that was given; raises CommandError for an empty text, which would be the present folder."""
+    if not text:
+        raise CommandError("the folder's path is empty: name a folder, with . for the one you are in")
+    return Path(text)
+
+
 RunFileOption = Annotated[
     Path | None,
     typer.Option(
