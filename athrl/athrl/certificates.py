@@ -40,6 +40,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from athrl.certificate_files import load_certificate, names_in, pem, read_file, write_file
 from athrl.errors import CommandError
+from athrl.options import given_folder
 
 AUTHORITY = "authority"
 AUTHORITY_DAYS = 3650
@@ -58,7 +59,9 @@ class Identity:
 
 
 def certificates(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the certificates.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", parser=given_folder, help="Folder of the certificates.")
+    ],
     names: Annotated[
         list[str] | None,
         typer.Option(

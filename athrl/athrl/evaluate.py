@@ -19,7 +19,7 @@ from rich.table import Table
 
 from athrl import runs
 from athrl.errors import CommandError, needs
-from athrl.options import ForceOption, JsonOption, RunFileOption, SetOption, overrides
+from athrl.options import ForceOption, JsonOption, RunFileOption, SetOption, given_folder, overrides
 
 ALL = "all"
 
@@ -60,7 +60,9 @@ def evaluate(
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Folder for an MCAP recording of each episode."),
+        typer.Option(
+            metavar="FOLDER", parser=given_folder, help="Folder for an MCAP recording of each episode."
+        ),
     ] = None,
     force: ForceOption = None,
     as_json: JsonOption = False,

@@ -24,7 +24,7 @@ def explain(error: Any) -> str:
         if expected:
             option, meaning = error.param.opts[0], (error.param.help or "").rstrip(".")
             return f"{option} {' '.join(str(wrong['input']).split())}: should be {expected} ({meaning})"
-    return str(error.format_message()).rstrip(".")
+    return str(error.format_message()).replace("Value error, ", "").rstrip(".")
 
 
 def _expected(wrong: ErrorDetails, kind: str) -> str:

@@ -35,6 +35,39 @@ def test_path_that_is_too_long_is_one_line(words: list[str]) -> None:
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["certificates", ""],
+        ["study", "study.toml", "--out", ""],
+        ["evaluate", "--policy", "blind", "--record", ""],
+    ],
+)
+def test_empty_path_is_not_taken_for_the_present_folder(words: list[str], tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "athrl", *words]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stderr == (
+        "athrl: the folder's path is empty: name a folder, with . for the one you are in\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--name", "a b"], "actor 'a b' cannot be used"),
+        (["--run", "town 03"], "run name 'town 03' cannot be used"),
+    ],
+)
+def test_name_that_cannot_be_is_refused_before_a_learner_is_waited_for(words: list[str], told: str) -> None:
+    command = [sys.executable, "-m", "athrl", "actor", "--connect", "tcp/127.0.0.1:1", *words]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert result.returncode == 2
+    assert result.stderr.startswith(f"athrl: {told}: letters, digits")
+    assert result.stderr.count("\n") == 1
+
+
 def comparison(**other: Any) -> dict[str, Any]:
     drivers = {"policy": SCORES, "[/red]": SCORES}
     return {"policy_version": 3, "town": "maps/[1].xodr", "drivers": drivers, **other}

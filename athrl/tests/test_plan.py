@@ -49,6 +49,13 @@ def test_learner_trains_on_every_core_and_more_actors_drive_where_there_are_more
     assert (division.threads, division.actors) == (threads, actors)
 
 
+def test_more_actors_than_a_machine_can_drive_are_refused_before_any_is_started() -> None:
+    assert divide_cores(2, actors=64).actors == 64
+    with pytest.raises(CommandError) as refused:
+        divide_cores(2, actors=65)
+    assert str(refused.value).startswith("--actors 65: should be at most 64 on 2 cores")
+
+
 def test_services_may_leave_once_the_learners_own_file_says_that_all_experience_is_in(tmp_path: Path) -> None:
     wanted = [f"run.folder={tmp_path}", "run.name=known", "run.environment_steps=400"]
     plan = Plan(read_run_file(None, wanted), run_file=None, overrides=wanted, resume=False)

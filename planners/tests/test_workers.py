@@ -56,6 +56,19 @@ def test_update_in_parts_is_the_update_in_one(
         torch.testing.assert_close(tensor, wanted[name], rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.parametrize("decisions", [1, 2, 5])
+def test_batch_of_fewer_decisions_than_threads_is_trained_like_any(
+    experience: Callable[[Agent], SequenceReplay], decisions: int
+) -> None:
+    whole, parted = (agent("athrl", threads, td3_target_noise=0.0) for threads in (1, 6))
+    batch = experience(whole).sample(decisions)
+    metrics, errors = whole.update(batch)
+    metrics_in_parts, errors_in_parts = parted.update(batch)
+    torch.testing.assert_close(errors_in_parts, errors, rtol=1e-4, atol=1e-5)
+    for name, value in metrics.items():
+        torch.testing.assert_close(metrics_in_parts[name], value, rtol=1e-3, atol=1e-5)
+
+
 @pytest.mark.parametrize("settings", [{}, {"update_rule": "sac"}])
 def test_update_in_parts_repeats_itself_bit_for_bit(
     experience: Callable[[Agent], SequenceReplay], settings: dict[str, Any]

@@ -114,6 +114,10 @@ def test_served_run_file_of_another_release_is_refused() -> None:
             '[network]\nlisten = "7447"',
             ['network.listen = "7447"', "should be tcp/HOST:PORT or tls/HOST:PORT"],
         ),
+        (
+            '[network]\nlisten = "tcp/127.0.0.1:99999"',
+            ['network.listen = "tcp/127.0.0.1:99999"', "its port should be 1 to 65535"],
+        ),
         ("[replay]\nburn_in = 16", ["replay.burn_in = 16", "less than replay.sequence_length = 16"]),
         ("[replay]\ncapacity = 500", ["replay.capacity = 500", "at least 512", "learner.batch = 512"]),
         (

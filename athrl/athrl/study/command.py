@@ -18,6 +18,7 @@ import typer
 
 from athrl import runs
 from athrl.errors import CommandError, needs, say
+from athrl.options import given_folder
 from athrl.service_names import program
 from athrl.stopping import stop_on_signal
 from athrl.study.curves import picture
@@ -40,7 +41,11 @@ def study(
     file: Annotated[Path, typer.Argument(metavar="STUDY", help="TOML file of the study.")],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Folder of the study; by default runs/study-NAME."),
+        typer.Option(
+            metavar="FOLDER",
+            parser=given_folder,
+            help="Folder of the study; by default runs/study-NAME.",
+        ),
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Number of runs at once.")] = 1,
     optimise: Annotated[

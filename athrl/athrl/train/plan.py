@@ -24,6 +24,9 @@ BACKGROUND = 10  # niceness of the evaluator and of the viewer's bridge
 CORES_FOR_ANOTHER_ACTOR = 3
 """Additional cores for each additional actor."""
 
+MOST_ACTORS_A_CORE = 32
+"""Each is a process; far more than the cores can drive only take the machine's memory."""
+
 
 @dataclass(frozen=True)
 class CoreDivision:
@@ -57,7 +60,16 @@ def divide_cores(cores: int, *, threads: int = 0, actors: int | None = None) -> 
         cores: usable cores.
         threads: training threads in the settings; 0: one for each core.
         actors: number of actors on the command line, if given.
+
+    Raises:
+        CommandError: there are far more actors than the cores can drive.
     """
+    most = MOST_ACTORS_A_CORE * cores
+    if actors is not None and actors > most:
+        raise CommandError(
+            f"--actors {actors}: should be at most {most} on {_counted(cores, 'core')}; more drive on other "
+            "machines, by athrl actor --connect"
+        )
     fitting = 1 + max(0, cores - 1) // CORES_FOR_ANOTHER_ACTOR
     return CoreDivision(cores, threads or max(1, cores), fitting if actors is None else actors)
 

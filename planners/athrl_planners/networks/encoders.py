@@ -71,8 +71,10 @@ def _tower(channels: int, size: int) -> nn.Sequential:
     layers: list[nn.Module] = []
     for number, (width, kernel, stride) in enumerate(PAPER_LAYERS):
         convolution = nn.Conv2d if number else PixelConv2d
+        # One pixel gives one pixel with any stride, but with 2 torch's bfloat16 gradient is not finite.
+        step = stride if size > 1 else 1
         layers += [
-            convolution(channels, width, kernel, stride, padding=kernel // 2),
+            convolution(channels, width, kernel, step, padding=kernel // 2),
             nn.LeakyReLU(inplace=True),
         ]
         channels, size = width, (size + 1) // 2

@@ -1,4 +1,4 @@
-"""Memory: an LSTM over sequences of features."""
+"""Memories over sequences of features; the state of each is one vector."""
 
 from __future__ import annotations
 
@@ -42,3 +42,11 @@ class Lstm(nn.LSTM):
     def _gates(self, part: str, inputs: Tensor) -> Tensor:
         weight, bias = (self.get_parameter(f"{name}_{part}_l0") for name in ("weight", "bias"))
         return functional.linear(inputs, weight, bias)
+
+
+Memory = Lstm
+
+
+def make_memory(kind: str, inputs: int, units: int) -> Memory | None:
+    """The memory that `settings.memory` names; None without one."""
+    return Lstm(inputs, units) if kind == "lstm" else None

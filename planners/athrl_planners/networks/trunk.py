@@ -12,7 +12,7 @@ from athrl_spaces import Observation
 from torch import Tensor, nn
 
 from athrl_planners.networks.encoders import make_encoder
-from athrl_planners.networks.memory import Lstm
+from athrl_planners.networks.memory import make_memory
 from athrl_planners.planner import View
 from athrl_planners.settings import PlannerSettings
 
@@ -49,7 +49,7 @@ class Trunk(nn.Module):
             nn.LayerNorm(hidden),
             nn.ReLU(),
         )
-        self.memory = Lstm(hidden, settings.recurrent_features) if settings.memory == "lstm" else None
+        self.memory = make_memory(settings.memory, hidden, settings.recurrent_features)
         self.context_size = hidden + (self.memory.hidden_size if self.memory else 0)
         self.register_buffer("mask", _mask(view, observation), persistent=False)
 

@@ -78,7 +78,11 @@ class TrainingBatch:
     trained: Tensor | None = None
 
     def split(self, parts: int) -> list[TrainingBatch]:
-        """Split into parts of about equal size, whose losses add up; sequences are not split."""
+        """Split into `parts` of about equal size, or as many as there are items, whose losses add up.
+
+        Sequences are not split.
+        """
+        parts = min(parts, self.items)
         if parts == 1 or not isinstance(self.frames, TransitionFrames):
             return [self]
         slices = [slice(each[0], each[-1] + 1) for each in np.array_split(np.arange(self.items), parts)]

@@ -70,7 +70,7 @@ class TrainingState:
         )
         self.networks.to(device).to(memory_format=torch.channels_last)
         for module in self.networks.modules():
-            if isinstance(module, nn.LSTM):  # copies are not in one piece, as cuDNN wants its weights
+            if isinstance(module, nn.RNNBase):  # copies are not in one piece, as cuDNN wants its weights
                 module.flatten_parameters()
         critics = (parameter for level in self.levels for parameter in level.online.critics.parameters())
         self.critic_parameters: list[Tensor] = [*self._trunks.parameters(), *critics]

@@ -16,7 +16,7 @@ from athrl_protocol.announcements import fetch_run_file
 from athrl_protocol.announcements.answers import ask_for_name
 from athrl_protocol.announcements.presence import PresencePoll, announce_presence
 from athrl_protocol.errors import LearnerNotFound, NameTaken
-from athrl_protocol.messages.keys import HOST_ROLE, new_incarnation
+from athrl_protocol.messages.keys import HOST_ROLE, check_name, new_incarnation
 from athrl_protocol.run_file import NetworkSection, RunFile, require_same_maps
 from athrl_protocol.transport.graceful_close import drain_incoming
 from athrl_protocol.transport.session import open_session
@@ -64,7 +64,11 @@ def join_run(
         RunNotFound: the learner there has another run.
         NameTaken: another live service of that role has the name.
         RunFileError: a map of the run is missing on this machine, or is another one.
+        ProtocolError: a name cannot be one; nobody has been waited for.
     """
+    check_name("run name", run)
+    if name is not None:
+        check_name(role, name)
     patience = NetworkSection().patience  # the run's own setting is only known once its learner answers
     with _notice_at_a_terminal(f"waiting up to {patience:.0f} s for a learner at {connect}"):
         try:

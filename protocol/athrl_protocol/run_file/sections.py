@@ -17,6 +17,7 @@ from athrl_protocol.monitoring.address import EXPECTED as EXPECTED_METRICS_ADDRE
 from athrl_protocol.monitoring.address import metrics_address
 from athrl_protocol.run_file.section import Section
 from athrl_protocol.run_file.towns import EXPECTED, EXPECTED_CHECKSUMS, MapChecksums, Towns
+from athrl_protocol.transport.address import split_address
 
 LONGEST_SECONDS = 1e9
 """Thirty years; the clocks of Python and Zenoh take no waiting time that is much longer."""
@@ -327,6 +328,15 @@ class NetworkSection(Section):
         le=LONGEST_SECONDS,
         description="Seconds that a service waits for an absent learner before it reports that.",
     )
+
+    @field_validator("listen")
+    @classmethod
+    def _check_listen(cls, listen: str) -> str:
+        try:
+            split_address(listen)
+        except ProtocolError as error:
+            raise ValueError(str(error)) from None
+        return listen
 
 
 class MetricsSection(Section):
