@@ -11,7 +11,7 @@ from athrl_protocol.run_file.section import Section
 from athrl_protocol.run_file.toml_values import show
 from athrl_spaces import CASE_STUDIES, REFERENCE_DRIVERS
 from athrl_spaces.untrusted import one_line
-from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from athrl.errors import CommandError
 
@@ -46,10 +46,9 @@ def _not_twice(values: list[Any]) -> list[Any]:
 Seeds = Annotated[
     list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1), AfterValidator(_not_twice)
 ]
-Name = Annotated[str, Field(min_length=1)]
-Names = Annotated[list[Name], Field(min_length=1), AfterValidator(_not_twice)]
-Towns = Annotated[list[Name | Names], Field(min_length=1), AfterValidator(_not_twice)]
-"""A list among them is of towns that one run drives in."""
+Names = Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1), AfterValidator(_not_twice)]
+Together = Annotated[Names, BeforeValidator(lambda given: [given] if isinstance(given, str) else given)]
+"""Towns that one run drives in; one alone needs no brackets."""
 
 
 class StudySection(Section):
@@ -85,7 +84,7 @@ class GridSection(Section):
     """`[[grid]]`: every planner in every town, in every variant, with every seed."""
 
     planners: Names
-    towns: Towns
+    towns: Annotated[list[Together], Field(min_length=1), AfterValidator(_not_twice)]
     seeds: Seeds | None = None
     run_file: str | None = None
     """Path from the study's file; `{planner}` and `{town}` stand for those of the run."""

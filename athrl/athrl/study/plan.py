@@ -93,13 +93,12 @@ def _of_grid(
         wrong = kind_error(planner)
         if wrong is not None:
             raise StudyFileError(f"{place}.planners: {show(planner)}: {wrong}")
-    together = [(each,) if isinstance(each, str) else tuple(each) for each in grid.towns]
-    for town in dict.fromkeys(town for towns in together for town in towns):
+    for town in dict.fromkeys(town for towns in grid.towns for town in towns):
         require_town(f"{place}.towns", town)
-    for towns in together:
+    for towns in grid.towns:
         for planner in grid.planners:
             for variant, changes in grid.variants.items():
-                row = Row(planner, towns, variant)
+                row = Row(planner, tuple(towns), variant)
                 given = [*study.study.settings, *grid.settings, *changes]
                 _require_free(place, given)
                 for order, seed in enumerate(grid.seeds or study.study.seeds):
