@@ -44,13 +44,16 @@ def test_study_trains_and_scores_each_run_and_goes_on_after_one_that_failed(
 ) -> None:
     variants = 'variants = {plain = [], crowded = ["environment.vehicles=5000"]}'
     # Long enough that an actor reports, once a second, after the random decisions.
-    file = study(variants, **{"run.environment_steps": 1500})
+    elsewhere = '[[elsewhere]]\nname = "quiet"\ntown = "town02"\nvehicles = 5'
+    file = study(f"{variants}\n{elsewhere}", **{"run.environment_steps": 1500})
     done = command.run("study", str(file), "--out", "out", "--jobs", "2", seconds=SECONDS)
     assert done.returncode == 1, done.stderr
     finished = result(tmp_path / "out", "hddpg-town03-plain-1")
     assert {"return_mean", "speed_mps", "collision_rate"} <= finished["scores"].keys()
     assert {"return_mean"} <= finished["training"].keys() <= {"return_mean", "speed_mps"}
     assert finished["seconds"] > 0
+    assert result(tmp_path / "out", "hddpg-town03-plain-1@quiet")["scores"]["return_mean"] != 0
+    assert "| hddpg, plain | town03 | 1 of 1 |" in done.stdout.partition("### Elsewhere: quiet")[2]
     failed = "hddpg-town03-crowded-1 failed: ended with code 2: environment.vehicles is 5000"
     assert f"- {failed}" in (tmp_path / "out" / "table.md").read_text()
     assert "| hddpg, plain | town03 | 1 of 1 |" in done.stdout

@@ -11,6 +11,7 @@ from athrl.errors import CommandError
 from athrl.runs import declare_installed_planners
 from athrl.study.file import StudyFile, read_study_file
 from athrl.study.folder import StudyFolder
+from athrl.study.places import require_places
 from athrl.study.plan import PlannedRun, planned_runs, require_search
 from athrl_protocol.run_file import declare_planners, declared_planners, read_run_file
 from athrl_protocol.run_file.toml_values import to_toml_value
@@ -56,7 +57,13 @@ def to_toml(value: Any) -> str:
 
 def read(path: Path) -> tuple[StudyFile, list[PlannedRun]]:
     study = read_study_file(path)
+    require_places(path, study)
     return study, planned_runs(path, study)
+
+
+def elsewhere(**place: Any) -> dict[str, Any]:
+    """The good study with a place where its policies are scored, too."""
+    return {**GOOD, "elsewhere": [{"name": "there", **place}]}
 
 
 def changed(**changes: Any) -> dict[str, Any]:
@@ -78,6 +85,18 @@ def changed(**changes: Any) -> dict[str, Any]:
         (
             {**GOOD, "study": {"name": "one", "seeds": list(range(6000))}},
             "has 12,000 runs, should have at most",
+        ),
+        (changed(towns=["town02", ["town02", "town3"]]), "there is no town named 'town3'"),
+        (changed(towns=[["town02", "town02"]]), '"town02" is there twice'),
+        (elsewhere(town="town3"), "elsewhere.0.town: there is no town named 'town3', did you mean 'town03'?"),
+        (elsewhere(town="town03", vehicles=5000), "elsewhere.0.vehicles = 5000: town03 has room for"),
+        (elsewhere(case_study="roundabut"), '"roundabut" is no case study, it should be roundabout'),
+        (elsewhere(), '"there" should have a town or a case_study, one of the two'),
+        (elsewhere(town="town03", case_study="roundabout"), "one of the two"),
+        (elsewhere(case_study="roundabout", vehicles=3), "a case study has its own vehicles"),
+        (
+            {**GOOD, "elsewhere": 2 * elsewhere(town="town02")["elsewhere"]},
+            'elsewhere.1.name: "there" is there twice, it should be there once',
         ),
         ({"study": GOOD["study"]}, "grid is missing"),
         ({**GOOD, "study": {"name": "one", "seeds": []}}, "study.seeds = []: "),
@@ -126,6 +145,13 @@ def test_every_row_has_a_run_before_any_has_its_second(tmp_path: Path) -> None:
     assert {run.settings.planner.values()["n_step"] for run in runs if run.row.variant == "far"} == {5}
 
 
+def test_a_run_in_several_towns_is_one_row(tmp_path: Path) -> None:
+    _, runs = read(written(tmp_path, changed(planners=["hddpg"], towns=["town03", ["town02", "town04"]])))
+    assert [run.name for run in runs[:2]] == ["hddpg-town03-1", "hddpg-town02-town04-1"]
+    assert list(runs[1].settings.environment.towns) == ["town02", "town04"]
+    assert runs[1].row.town == "town02+town04"
+
+
 def test_the_papers_study_has_its_four_planners_and_is_run_by_its_recipe() -> None:
     _, runs = read(ROOT / "studies" / "paper.toml")
     rows = {(run.row.planner, run.row.town) for run in runs}
@@ -142,6 +168,13 @@ def test_the_papers_study_has_its_four_planners_and_is_run_by_its_recipe() -> No
         assert run.settings.run.environment_steps == 40_000
 
 
+@pytest.mark.parametrize(("name", "count"), [("default", 44), ("generalisation", 12), ("ablations", 24)])
+def test_the_studies_of_the_results_page_can_be_run(name: str, count: int) -> None:
+    study, runs = read(ROOT / "studies" / f"{name}.toml")
+    assert study.study.name == name
+    assert len(runs) == count
+
+
 def test_the_short_study_is_valid_also_as_a_search() -> None:
     path = ROOT / "studies" / "short.toml"
     study, runs = read(path)
@@ -153,7 +186,7 @@ def test_the_short_study_is_valid_also_as_a_search() -> None:
 def begun(tmp_path: Path) -> StudyFolder:
     folder = StudyFolder(tmp_path / "out")
     with folder.locked():
-        folder.claim(*read(written(tmp_path, GOOD)))
+        folder.claim(*read(written(tmp_path, elsewhere(town="town04"))))
     return folder
 
 
@@ -161,6 +194,7 @@ def begun(tmp_path: Path) -> StudyFolder:
     ("content", "told"),
     [
         ({**GOOD, "study": {"name": "two", "seeds": [1, 2]}}, "study was begun as one, should be two"),
+        (elsewhere(town="town02"), "elsewhere there, town was begun as town04, should be town02"),
         ({**GOOD, "scoring": {"episodes": 7}}, "scoring, episodes was begun as 100, should be 7"),
         (
             changed(settings=["learner.batch=64"]),
@@ -176,8 +210,9 @@ def test_folder_of_another_study_is_refused(
     assert told in str(error.value)
 
 
-def test_seeds_and_rows_may_be_added_to_a_study(tmp_path: Path, begun: StudyFolder) -> None:
-    more = {**GOOD, "study": {"name": "one", "seeds": [1, 2, 3]}}
+def test_seeds_rows_and_places_may_be_added_to_a_study(tmp_path: Path, begun: StudyFolder) -> None:
+    more = {**elsewhere(town="town04"), "study": {"name": "one", "seeds": [1, 2, 3]}}
+    more["elsewhere"].append({"name": "case", "case_study": "roundabout"})
     with begun.locked():
         begun.claim(*read(written(tmp_path, more)))
         begun.claim(*read(written(tmp_path, GOOD)))

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from athrl.ports import free_address
-from athrl.study.runs import RunFailed, Stopped, scores_said, train, train_words
+from athrl.study.runs import RunFailed, Stopped, train, train_words
+from athrl.study.scores import scores_said
 
 
 def trained(folder: Path, words: Sequence[str], stop: threading.Event | None = None, **limits: float) -> None:

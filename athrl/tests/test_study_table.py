@@ -15,7 +15,7 @@ import pytest
 from athrl.runs import declare_installed_planners
 from athrl.study import learning
 from athrl.study.curves import over_seeds, picture
-from athrl.study.file import SCORES, StudyFile
+from athrl.study.file import SCORES, ElsewhereSection, StudyFile
 from athrl.study.folder import StudyFolder
 from athrl.study.plan import planned_runs
 from athrl.study.statistics import estimate
@@ -85,6 +85,27 @@ def test_table_has_means_intervals_published_figures_and_what_failed(found: dict
     assert any(line.startswith("- athrl over town02, town03: greedy return ") for line in lines)
     assert not any(line.startswith("- ddpg over") for line in lines)  # town02 is missing
     assert len({line.count("|") for line in lines if line.startswith("|")}) == 1
+
+
+def test_place_elsewhere_has_a_table_with_the_share_of_the_rule_based_return(tmp_path: Path) -> None:
+    study = STUDY.model_copy(
+        update={"elsewhere": [ElsewhereSection(name="crowded", town="town04", vehicles=150, episodes=40)]}
+    )
+    folder = StudyFolder(tmp_path / "out")
+    runs = planned_runs(tmp_path / "study.toml", study)
+    scores = dict.fromkeys(SCORES, 0.5)
+    for run in runs[:3]:
+        folder.note(f"{run.name}@crowded", {"run": run.name, "scores": scores | {"return_mean": 900.0}})
+    folder.note(f"{runs[3].name}@crowded", {"run": runs[3].name, "failure": "ended with code 1: no room"})
+    rule_based = {"driver": "rule-based", "place": "crowded", "scores": scores | {"return_mean": 1000.0}}
+    folder.note("driver-rule-based@crowded", rule_based)
+    lines = markdown(tabulated(study, runs, folder)).splitlines()
+    assert "town04 with 150 vehicles, 40 episodes." in lines
+    own = lines[lines.index("### Elsewhere: crowded") :]
+    finished = [line for line in own if line.endswith("| 0.90 |")]
+    assert sum(int(line.split("|")[3].split()[0]) for line in finished) == 3
+    assert any(line.startswith("| rule-based |") for line in own)
+    assert f"- {runs[3].name} in crowded failed: ended with code 1: no room" in lines
 
 
 def test_csv_has_a_line_for_each_run_that_ended(found: dict[str, Any]) -> None:

@@ -9,9 +9,9 @@ from athrl_protocol import RunFileError
 from athrl_protocol.run_file.document import read_document
 from athrl_protocol.run_file.section import Section
 from athrl_protocol.run_file.toml_values import show
-from athrl_spaces import REFERENCE_DRIVERS
+from athrl_spaces import CASE_STUDIES, REFERENCE_DRIVERS
 from athrl_spaces.untrusted import one_line
-from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from athrl.errors import CommandError
 
@@ -37,11 +37,9 @@ class StudyFileError(CommandError):
 
 
 def _not_twice(values: list[Any]) -> list[Any]:
-    seen = set()
-    for value in values:
-        if value in seen:
+    for number, value in enumerate(values):
+        if value in values[:number]:
             raise ValueError(f"{show(value)} is there twice, it should be there once")
-        seen.add(value)
     return values
 
 
@@ -49,6 +47,8 @@ Seeds = Annotated[
     list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1), AfterValidator(_not_twice)
 ]
 Names = Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1), AfterValidator(_not_twice)]
+Together = Annotated[Names, BeforeValidator(lambda given: [given] if isinstance(given, str) else given)]
+"""Towns that one run drives in; one alone needs no brackets."""
 
 
 class StudySection(Section):
@@ -84,7 +84,7 @@ class GridSection(Section):
     """`[[grid]]`: every planner in every town, in every variant, with every seed."""
 
     planners: Names
-    towns: Names
+    towns: Annotated[list[Together], Field(min_length=1), AfterValidator(_not_twice)]
     seeds: Seeds | None = None
     run_file: str | None = None
     """Path from the study's file; `{planner}` and `{town}` stand for those of the run."""
@@ -103,6 +103,33 @@ class GridSection(Section):
                 f"{show(template)}: should be a path that has {{planner}} and {{town}} alone in braces"
             ) from None
         return template
+
+
+class ElsewhereSection(Section):
+    """`[[elsewhere]]`: a place where every last policy is scored, too: a town or a case study."""
+
+    name: str = Field(pattern=_NAME)
+    town: str | None = None
+    case_study: str | None = None
+    vehicles: int | None = Field(default=None, ge=0)
+    """Background vehicles; by default the run's."""
+    episodes: int | None = Field(default=None, ge=2, le=100_000)
+    """By default as many as at home."""
+
+    @field_validator("case_study")
+    @classmethod
+    def _exists(cls, case_study: str | None) -> str | None:
+        if case_study is not None and case_study not in CASE_STUDIES:
+            raise ValueError(f"{show(case_study)} is no case study, it should be {', '.join(CASE_STUDIES)}")
+        return case_study
+
+    @model_validator(mode="after")
+    def _is_one_place(self) -> ElsewhereSection:
+        if (self.town is None) == (self.case_study is None):
+            raise ValueError(f"{show(self.name)} should have a town or a case_study, one of the two")
+        if self.case_study is not None and self.vehicles is not None:
+            raise ValueError(f"{show(self.name)}: a case study has its own vehicles, leave vehicles out")
+        return self
 
 
 class PublishedSection(Section):
@@ -149,6 +176,7 @@ class StudyFile(Section):
     study: StudySection
     scoring: ScoringSection = ScoringSection()
     grid: list[GridSection] = Field(min_length=1)
+    elsewhere: list[ElsewhereSection] = Field(default=[])
     published: list[PublishedSection] = Field(default=[])
     search: SearchSection | None = None
 

@@ -64,8 +64,8 @@ class StudyFolder:
     def claim(self, study: StudyFile, runs: Sequence[PlannedRun]) -> None:
         """Note what the study is, or check that the folder was begun with the same.
 
-        Rows and seeds may be added to a study and taken from it. What a run was begun with, the scored
-        episodes and the search must not change, else the table would compare different things.
+        Rows, seeds and places may be added to a study and taken from it. What a run was begun with, the
+        scored episodes and the search must not change, else the table would compare different things.
 
         Raises:
             CommandError: the folder is another study's; names the first difference.
@@ -76,12 +76,17 @@ class StudyFolder:
             "search": study.search.model_dump(exclude={"trials"}) if study.search is not None else None,
         }
         recipes = {run.name: run.recipe for run in runs}
+        places = {place.name: place.model_dump() for place in study.elsewhere}
         begun: dict[str, Any] = self._read(self._begun) if self._begun.exists() else {**fixed, "runs": {}}
+        begun_places = begun.get("elsewhere", {})
         for key, wanted in fixed.items():
             self._require_same(key, begun.get(key), json.loads(json.dumps(wanted)))
         for name, recipe in recipes.items():
             self._require_same(f"run {name}", begun["runs"].get(name, recipe), recipe)
-        self.write_json(self._begun.name, {**fixed, "runs": {**begun["runs"], **recipes}})
+        for name, place in places.items():
+            self._require_same(f"elsewhere {name}", begun_places.get(name, place), place)
+        now = {**fixed, "runs": {**begun["runs"], **recipes}, "elsewhere": {**begun_places, **places}}
+        self.write_json(self._begun.name, now)
 
     def _require_same(self, what: str, begun: Any, wanted: Any) -> None:
         if begun != wanted:

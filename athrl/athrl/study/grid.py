@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from athrl.ports import free_address
 from athrl.study import learning
-from athrl.study.file import SCORES, StudyFile
+from athrl.study.file import ElsewhereSection, StudyFile
 from athrl.study.folder import StudyFolder
+from athrl.study.places import Place, elsewhere, home
 from athrl.study.plan import PlannedRun
-from athrl.study.runs import RunFailed, Stopped, evaluate, evaluate_words, train, train_words
+from athrl.study.runs import RunFailed, Stopped, train, train_words
+from athrl.study.scores import evaluated
 from athrl.train.plan import usable_cores
 
 Say = Callable[[str], None]
@@ -46,9 +49,12 @@ class GridRunner:
             Stopped: the runs that were under way are drained.
             CommandError: the folder cannot be written.
         """
-        tasks: list[Callable[[], object]] = [partial(self.run, run) for run in runs]
-        for run in _one_a_town(runs):
+        tasks: list[Callable[[], object]] = [partial(self._run_and_score_elsewhere, run) for run in runs]
+        for run in _one_a_row_of_towns(runs):
             tasks += [partial(self._score_driver, driver, run) for driver in self._study.study.drivers]
+        for section in self._study.elsewhere:
+            for driver in self._study.study.drivers:
+                tasks.append(partial(self._score_driver_elsewhere, driver, runs[0], section))
         with ThreadPoolExecutor(self._jobs) as pool:
             futures = [pool.submit(task) for task in tasks]
             _, waiting = wait(futures, return_when=FIRST_EXCEPTION)
@@ -115,40 +121,62 @@ class GridRunner:
         }
 
     def _scored(self, run: PlannedRun) -> dict[str, float]:
-        policy = self._folder.runs / run.name / "policies" / "latest.onnx"
-        return self._evaluated(str(policy), run, run.name)
+        return self._evaluated(str(self._policy(run)), run, home(self._study, run), run.name)
+
+    def _policy(self, run: PlannedRun) -> Path:
+        return self._folder.runs / run.name / "policies" / "latest.onnx"
+
+    def _run_and_score_elsewhere(self, run: PlannedRun) -> None:
+        """Bring one run to its end, and score what it learnt in the places of the study."""
+        result = self.run(run)
+        if "failure" in result:
+            return
+        for section in self._study.elsewhere:
+            facts = {"run": run.name, "place": section.name}
+            name = name_elsewhere(run.name, section.name)
+            self._note_scores(name, facts, str(self._policy(run)), run, elsewhere(self._study, section))
 
     def _score_driver(self, driver: str, run: PlannedRun) -> None:
-        """Score a reference driver in a run's town, unless that is done; raises as `run_all` does."""
+        """Score a reference driver at a run's home."""
         name = driver_name(driver, run.row.town)
+        facts = {"driver": driver, "town": run.row.town}
+        self._note_scores(name, facts, driver, run, home(self._study, run))
+
+    def _score_driver_elsewhere(self, driver: str, run: PlannedRun, section: ElsewhereSection) -> None:
+        """Score a reference driver in a place of the study, with a run's settings."""
+        name = name_elsewhere(f"driver-{driver}", section.name)
+        facts = {"driver": driver, "place": section.name}
+        self._note_scores(name, facts, driver, run, elsewhere(self._study, section))
+
+    def _note_scores(
+        self, name: str, facts: Mapping[str, Any], driver: str, run: PlannedRun, place: Place
+    ) -> None:
+        """Score a driver and note it, or why it failed, unless that is done; raises as `run_all` does."""
         known = self._folder.result(name)
         if known is not None and "failure" not in known:
             return
-        facts: dict[str, Any] = {"driver": driver, "town": run.row.town}
+        result = dict(facts)
         try:
-            facts["scores"] = self._evaluated(driver, run, name)
+            result["scores"] = self._evaluated(driver, run, place, name)
         except RunFailed as error:
-            facts["failure"] = str(error)
-            self._say(f"{driver} in {run.row.town} failed: {error}")
-        self._folder.note(name, facts)
+            result["failure"] = str(error)
+            self._say(f"{name} failed: {error}")
+        self._folder.note(name, result)
 
-    def _evaluated(self, driver: str, run: PlannedRun, name: str) -> dict[str, float]:
-        scoring = self._study.scoring
-        words = evaluate_words(
-            driver,
-            run.settings.environment,
-            town=run.row.town,
-            episodes=scoring.episodes,
-            first_seed=scoring.first_seed,
-        )
+    def _evaluated(self, driver: str, run: PlannedRun, place: Place, name: str) -> dict[str, float]:
+        words = place.words(driver, run.settings.environment)
         threads = max(1, usable_cores() // self._jobs)
-        found = evaluate(words, self._folder.log(f"{name}-scores"), self._stop, threads=threads)
-        return {score: round(float(found[score]), 5) for score in SCORES if score in found}
+        return evaluated(words, self._folder.log(f"{name}-scores"), self._stop, threads=threads)
 
 
 def driver_name(driver: str, town: str) -> str:
     """Return under which name a reference driver's scores in a town are kept."""
     return f"driver-{driver}-{town.replace('/', '_')}"
+
+
+def name_elsewhere(name: str, place: str) -> str:
+    """Return under which name the scores of a run or driver in a place of the study are kept."""
+    return f"{name}@{place}"
 
 
 def in_words(scores: dict[str, float]) -> str:
@@ -159,6 +187,6 @@ def in_words(scores: dict[str, float]) -> str:
     )
 
 
-def _one_a_town(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
-    """Return the first run in each town, whose environment the reference drivers get."""
-    return list({run.row.town: run for run in reversed(runs)}.values())[::-1]
+def _one_a_row_of_towns(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
+    """Return the first run in each town, or towns, whose environment the reference drivers get."""
+    return list({run.row.towns: run for run in reversed(runs)}.values())[::-1]

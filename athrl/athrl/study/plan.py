@@ -25,8 +25,13 @@ class Row:
     """What the seeds of a study repeat: a line of its table."""
 
     planner: str
-    town: str
+    towns: tuple[str, ...]
     variant: str
+
+    @property
+    def town(self) -> str:
+        """The towns in one word, such as `town02+town04`."""
+        return "+".join(self.towns)
 
 
 @dataclass(frozen=True)
@@ -88,12 +93,12 @@ def _of_grid(
         wrong = kind_error(planner)
         if wrong is not None:
             raise StudyFileError(f"{place}.planners: {show(planner)}: {wrong}")
-    for town in grid.towns:
-        _require_town(place, town)
-    for town in grid.towns:
+    for town in dict.fromkeys(town for towns in grid.towns for town in towns):
+        require_town(f"{place}.towns", town)
+    for towns in grid.towns:
         for planner in grid.planners:
             for variant, changes in grid.variants.items():
-                row = Row(planner, town, variant)
+                row = Row(planner, tuple(towns), variant)
                 given = [*study.study.settings, *grid.settings, *changes]
                 _require_free(place, given)
                 for order, seed in enumerate(grid.seeds or study.study.seeds):
@@ -108,12 +113,12 @@ def _planned(
         "run.name": name,
         "run.seed": seed,
         "planner.kind": row.planner,
-        "environment.towns": [row.town],
+        "environment.towns": list(row.towns),
     }
     overrides = (*(f"{key}={to_toml_value(value)}" for key, value in own.items()), *given)
     run_file = None
     if grid.run_file is not None:
-        run_file = folder / grid.run_file.format(planner=row.planner, town=_label(row.town))
+        run_file = folder / grid.run_file.format(planner=row.planner, town=_label(row))
     try:
         settings = read_run_file(run_file, overrides)
     except RunFileError as error:
@@ -123,21 +128,22 @@ def _planned(
 
 def run_name(row: Row, seed: int) -> str:
     """Return the name of a run, of its row and seed."""
-    parts = [row.planner, _label(row.town), *([row.variant] if row.variant else []), str(seed)]
+    parts = [row.planner, _label(row), *([row.variant] if row.variant else []), str(seed)]
     return re.sub(r"[^a-z0-9_-]", "-", "-".join(parts).lower())
 
 
-def _label(town: str) -> str:
-    return PurePath(town).stem
+def _label(row: Row) -> str:
+    return "+".join(PurePath(town).stem for town in row.towns)
 
 
-def _require_town(place: str, town: str) -> None:
+def require_town(place: str, town: str) -> None:
+    """Raise StudyFileError for a town that is none; `place` is what names it in the file."""
     with needs("evaluator"):
         from athrl_driving.maps import load_town
     try:
         load_town(town)
     except ValueError as error:
-        raise StudyFileError(f"{place}.towns: {error}") from None
+        raise StudyFileError(f"{place}: {error}") from None
 
 
 def _require_free(place: str, given: Sequence[str]) -> None:

@@ -1,18 +1,16 @@
-"""One run from outside: `athrl train` as a child process that is resumed, drained and scored."""
+"""One run from outside: `athrl train` as a child process that is resumed and drained."""
 
 from __future__ import annotations
 
 import fcntl
-import json
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from athrl_protocol.announcements.comparison import compared_decisions
-from athrl_protocol.run_file.sections import EnvironmentSection
 from athrl_protocol.run_file.toml_values import to_toml_value
 
 from athrl.errors import CommandError
@@ -24,8 +22,6 @@ from athrl.train.session import STOP_SECONDS
 POLL_SECONDS = 0.5
 LEFT_SECONDS = 2 * ORPHAN_SECONDS + STOP_SECONDS
 """How long the processes of a study that was killed may take until they have left their run."""
-EVALUATION_SECONDS = 4 * 3600.0
-"""Limit of one evaluation."""
 
 
 class RunFailed(CommandError):  # noqa: N818  (the name says what happened)
@@ -55,30 +51,6 @@ def train_words(
         words += ["--run-file", str(run_file)] if run_file is not None else []
         words += _set([f"run.folder={to_toml_value(str(folder.parent))}", *overrides])
     return words + _set([f"network.listen={address}"])
-
-
-def evaluate_words(
-    driver: str, environment: EnvironmentSection, *, town: str, episodes: int, first_seed: int
-) -> list[str]:
-    """Return the words of `athrl evaluate` that score a driver in a town, else in a run's environment."""
-    settings = environment.model_dump(exclude={"towns"})
-    return [
-        *("evaluate", "--policy", driver, "--town", town, "--json"),
-        *("--episodes", str(episodes), "--seed", str(first_seed)),
-        *_set([f"environment.{key}={to_toml_value(value)}" for key, value in settings.items()]),
-    ]
-
-
-def scores_said(lines: Sequence[str]) -> dict[str, Any]:
-    """Return the JSON object that `athrl evaluate --json` printed as one of these lines.
-
-    Raises:
-        RunFailed: there is none.
-    """
-    for line in reversed(lines):
-        if line.startswith("{"):
-            return dict(json.loads(line))
-    raise RunFailed("athrl evaluate printed no scores")
 
 
 def train(
@@ -117,25 +89,23 @@ def train(
         resumed = holds_run(folder)
         process = ServiceProcess(folder.name, list(words()), log, kept_open=(lock.fileno(),))
         began = time.monotonic()
-        _run(process, stop, limit_seconds, STOP_SECONDS, look)
+        run_to_end(process, stop, limit_seconds, STOP_SECONDS, look)
     return None if resumed else round(time.monotonic() - began, 1)
 
 
-def evaluate(words: Sequence[str], log: Path, stop: threading.Event, *, threads: int) -> dict[str, Any]:
-    """Run `athrl evaluate` with these words and return what it printed; raises as `train` does."""
-    process = ServiceProcess("evaluate", list(words), log, threads=threads)
-    _run(process, stop, EVALUATION_SECONDS, 0.0, lambda: None)
-    return scores_said(process.last_lines())
-
-
-def _run(
+def run_to_end(
     process: ServiceProcess,
     stop: threading.Event,
     limit_seconds: float,
     drain_seconds: float,
     look: Callable[[], None],
 ) -> None:
-    """Run a command to its end; on `stop`, on an error and at the limit ask it to drain, and end it."""
+    """Run a command to its end; on `stop`, on an error and at the limit ask it to drain, and end it.
+
+    Raises:
+        RunFailed: it ended with an error or not in time.
+        Stopped: it was drained.
+    """
     if stop.is_set():
         raise Stopped
     deadline = time.monotonic() + limit_seconds

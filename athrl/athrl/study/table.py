@@ -5,15 +5,15 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
-from itertools import groupby
 from typing import Any
 
 from athrl.study.file import SCORES, PublishedSection, StudyFile
 from athrl.study.folder import StudyFolder
 from athrl.study.grid import driver_name
 from athrl.study.plan import PlannedRun, Row
+from athrl.study.rows import by_row, cell, described, estimates, failed, title
 from athrl.study.statistics import estimate
+from athrl.study.table_elsewhere import markdown_elsewhere, tabulated_elsewhere
 
 TRAINING = ("return_mean", "speed_mps")
 
@@ -33,7 +33,8 @@ _COLUMNS = (
 def tabulated(study: StudyFile, runs: Sequence[PlannedRun], folder: StudyFolder) -> dict[str, Any]:
     """Return all that a study has found so far, for `study.json`."""
     results = {run.name: folder.result(run.name) for run in runs}
-    rows = [_row(study, row, own, results) for row, own in _by_row(runs)]
+    rows = [_row(study, row, own, results) for row, own in by_row(runs)]
+    elsewhere = tabulated_elsewhere(study, runs, folder)
     towns = list(dict.fromkeys(run.row.town for run in runs))
     drivers = [
         found
@@ -49,9 +50,11 @@ def tabulated(study: StudyFile, runs: Sequence[PlannedRun], folder: StudyFolder)
         "rows": rows,
         "over_towns": _over_towns(rows),
         "drivers": drivers,
+        "elsewhere": elsewhere,
         "failures": {
-            name: found["failure"] for name, found in ended.items() if found is not None and _failed(found)
-        },
+            name: found["failure"] for name, found in ended.items() if found is not None and failed(found)
+        }
+        | {name: said for place in elsewhere for name, said in place["failures"].items()},
         "runs": [found for found in results.values() if found is not None],
     }
 
@@ -61,24 +64,19 @@ def _row(
 ) -> dict[str, Any]:
     """Return a row's means over its finished seeds."""
     found = [result for run in runs if (result := results[run.name]) is not None]
-    finished = [result for result in found if not _failed(result)]
+    finished = [result for result in found if not failed(result)]
     seconds = [result["seconds"] for result in finished if result["seconds"] is not None]
     return {
-        **asdict(row),
+        **described(row),
         "seeds": [run.seed for run in runs],
         "finished": [result["seed"] for result in finished],
-        "failed": [result["seed"] for result in found if _failed(result)],
+        "failed": [result["seed"] for result in found if failed(result)],
         "decisions": runs[0].settings.run.environment_steps,
         "seconds": round(sum(seconds) / len(seconds), 1) if seconds else None,
-        "training": _estimates(finished, "training", TRAINING),
+        "training": estimates(finished, "training", TRAINING),
         "published": _published(study.published, row),
-        "scores": _estimates(finished, "scores", SCORES),
+        "scores": estimates(finished, "scores", SCORES),
     }
-
-
-def _estimates(finished: Iterable[Mapping[str, Any]], kind: str, names: Sequence[str]) -> dict[str, Any]:
-    found = {name: [run[kind][name] for run in finished if name in run[kind]] for name in names}
-    return {name: estimate([values]).as_dict() for name, values in found.items() if values}
 
 
 def _published(published: Iterable[PublishedSection], row: Row) -> dict[str, float]:
@@ -104,16 +102,6 @@ def _over_towns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def _by_row(runs: Sequence[PlannedRun]) -> list[tuple[Row, list[PlannedRun]]]:
-    rows = list(dict.fromkeys(run.row for run in runs))
-    ordered = sorted(runs, key=lambda run: (rows.index(run.row), run.seed))
-    return [(row, list(own)) for row, own in groupby(ordered, key=lambda run: run.row)]
-
-
-def _failed(result: Mapping[str, Any]) -> bool:
-    return "failure" in result
-
-
 def markdown(found: Mapping[str, Any]) -> str:
     """Return the table of what `tabulated` returned, as Markdown, with a list of what failed below it."""
     columns = [
@@ -124,18 +112,17 @@ def markdown(found: Mapping[str, Any]) -> str:
     titles = ["planner", "town", "seeds", *(title for _, _, title, _ in columns), "minutes a run"]
     lines = [f"| {' | '.join(titles)} |", f"|---|---|{'---:|' * (len(titles) - 2)}"]
     for row in found["rows"]:
-        planner = f"{row['planner']}, {row['variant']}" if row["variant"] else row["planner"]
         seeds = f"{len(row['finished'])} of {len(row['seeds'])}"
-        cells = [_cell(row[kind].get(name), form) for kind, name, _, form in columns]
+        cells = [cell(row[kind].get(name), form) for kind, name, _, form in columns]
         minutes = f"{row['seconds'] / 60:.1f}" if row["seconds"] is not None else ""
-        lines.append(f"| {' | '.join([planner, row['town'], seeds, *cells, minutes])} |")
+        lines.append(f"| {' | '.join([title(row), row['town'], seeds, *cells, minutes])} |")
     for driver in found["drivers"]:
         scores = driver.get("scores", {})
         cells = [
-            _cell(scores.get(name) if kind == "scores" else None, form) for kind, name, _, form in columns
+            cell(scores.get(name) if kind == "scores" else None, form) for kind, name, _, form in columns
         ]
         lines.append(f"| {' | '.join([driver['driver'], driver['town'], '', *cells, ''])} |")
-    lines += _below(found)
+    lines += [*_below(found), *markdown_elsewhere(found.get("elsewhere", []))]
     return "\n".join(lines) + "\n"
 
 
@@ -143,23 +130,10 @@ def _below(found: Mapping[str, Any]) -> list[str]:
     """Return the means over towns and the failures, as lines of Markdown."""
     said = []
     for each in found["over_towns"]:
-        name = f"{each['planner']}, {each['variant']}" if each["variant"] else each["planner"]
-        mean = _cell(each["return_mean"], "{:.0f}")
-        said.append(f"- {name} over {', '.join(each['towns'])}: greedy return {mean}")
+        mean = cell(each["return_mean"], "{:.0f}")
+        said.append(f"- {title(each)} over {', '.join(each['towns'])}: greedy return {mean}")
     said += [f"- {name} failed: {failure}" for name, failure in found["failures"].items()]
     return ["", *said] if said else []
-
-
-def _cell(value: Any, form: str) -> str:
-    """Return a number, or an estimate with its interval, for a cell; empty without one."""
-    if value is None:
-        return ""
-    if not isinstance(value, Mapping):
-        return form.format(value)
-    mean = form.format(value["mean"])
-    if value["low"] is None:
-        return mean
-    return f"{mean} [{form.format(value['low'])}, {form.format(value['high'])}]"
 
 
 def as_csv(found: Mapping[str, Any]) -> str:
