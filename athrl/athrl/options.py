@@ -24,6 +24,7 @@ WHAT, WHERE = "What to run", "Machine and network"
 METRICS_VARIABLE = "ATHRL_METRICS_LISTEN"
 """Where evaluator and router answer Prometheus, unless an option says it."""
 
+
 def given_folder(text: str) -> Path:
     """The folder that was given; raises CommandError for an empty text, which would be the present folder."""
     if not text:
