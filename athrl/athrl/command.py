@@ -112,7 +112,7 @@ def _run() -> int:
     except UsageError as error:  # an option that is missing, unknown or out of bounds
         wrong = explain(error)
         if wrong:  # without a subcommand the help has been shown
-            say(f"{wrong}; see athrl {f'{wanted} ' if wanted else ''}--help")
+            say(f"{wrong}; see {error.ctx.command_path if error.ctx else 'athrl'} --help")
         return EXPECTED_ERROR
     except (typer.Abort, KeyboardInterrupt):
         return 130

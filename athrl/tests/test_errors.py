@@ -53,6 +53,14 @@ def test_empty_path_is_not_taken_for_the_present_folder(words: list[str], tmp_pa
     assert not list(tmp_path.iterdir())
 
 
+def test_wrong_option_of_a_command_below_another_points_to_its_own_help() -> None:
+    command = [sys.executable, "-m", "athrl", "maps", "check", "town03", "--vehicles", "-1"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert result.returncode == 2
+    assert result.stderr.startswith("athrl: --vehicles -1: should be an integer, >= 1")
+    assert result.stderr.endswith("; see athrl maps check --help\n")
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

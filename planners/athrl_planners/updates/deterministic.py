@@ -12,17 +12,12 @@ addition.
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from athrl_spaces import Continuous
 from torch import Tensor, nn
 
 from athrl_planners.networks.heads import Actor, Critic
-from athrl_planners.planner import LevelPlan
-from athrl_planners.updates.noise import NoiseSource
 from athrl_planners.updates.rule import LevelNetworks, Objective, Step, UpdateRule, centre_and_half_range
-from athrl_planners.updates.values import Values
 
 NOISE_CLIP = 2.5
 """Deviations at which the noise of target policy smoothing is clipped; in TD3 0.5 for a noise of 0.2."""
@@ -35,15 +30,9 @@ class ContinuousRule(UpdateRule):
     half_range: Tensor
     stochastic = False
 
-    def __init__(
-        self,
-        plan: LevelPlan,
-        settings: Any,
-        values: Values,
-        sizes: tuple[int, int],
-        noise: NoiseSource,
-    ) -> None:
-        super().__init__(plan, settings, values, sizes, noise)
+    def set_up(self) -> None:
+        """Check that the level decides numbers; keep their ranges."""
+        plan = self.plan
         if not all(isinstance(action, Continuous) for action in plan.actions):
             raise ValueError(f"level {plan.name} learns by {plan.update_rule} and decides a choice: use dqn")
         self.encoded_size = len(plan.actions)
@@ -79,18 +68,12 @@ class ContinuousRule(UpdateRule):
 class DeterministicRule(ContinuousRule):
     """DDPG and TD3."""
 
-    def __init__(
-        self,
-        plan: LevelPlan,
-        settings: Any,
-        values: Values,
-        sizes: tuple[int, int],
-        noise: NoiseSource,
-    ) -> None:
-        super().__init__(plan, settings, values, sizes, noise)
-        smoothed = plan.update_rule == "td3"
-        self.actor_delay = settings.td3_actor_delay if smoothed else 1
-        self._target_noise = settings.td3_target_noise if smoothed else 0.0
+    def set_up(self) -> None:
+        """Delay and smoothing are TD3's alone."""
+        super().set_up()
+        smoothed = self.plan.update_rule == "td3"
+        self.actor_delay = self.settings.td3_actor_delay if smoothed else 1
+        self._target_noise = self.settings.td3_target_noise if smoothed else 0.0
 
     def decide(self, deciding: nn.Module, context: Tensor, above: Tensor, noise: Tensor | None) -> Tensor:
         """The actor's action with noise in physical units, within its range."""

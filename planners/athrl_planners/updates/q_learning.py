@@ -5,18 +5,13 @@ target    r + discount * Q'(s', argmax_a Q'(s', a))        double: argmax of the
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from athrl_spaces import Discrete
 from torch import Tensor, nn
 from torch.nn import functional
 
 from athrl_planners.networks.heads import ChoiceCritic
-from athrl_planners.planner import LevelPlan
-from athrl_planners.updates.noise import NoiseSource
 from athrl_planners.updates.rule import LevelNetworks, Step, UpdateRule
-from athrl_planners.updates.values import Values
 
 
 class QLearningRule(UpdateRule):
@@ -24,15 +19,9 @@ class QLearningRule(UpdateRule):
 
     actor_delay = 0
 
-    def __init__(
-        self,
-        plan: LevelPlan,
-        settings: Any,
-        values: Values,
-        sizes: tuple[int, int],
-        noise: NoiseSource,
-    ) -> None:
-        super().__init__(plan, settings, values, sizes, noise)
+    def set_up(self) -> None:
+        """Check that the level decides one choice."""
+        plan = self.plan
         if len(plan.actions) != 1 or not isinstance(plan.actions[0], Discrete):
             raise ValueError(f"level {plan.name} learns by dqn: it should decide one choice and nothing else")
         self.encoded_size = len(plan.actions[0].choices)

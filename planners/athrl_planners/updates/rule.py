@@ -79,6 +79,15 @@ class UpdateRule(ABC, nn.Module):
         self.plan, self.settings, self.values = plan, settings, values
         self.context_size, self.above_size = sizes
         self.noise = noise
+        self.set_up()
+
+    @abstractmethod
+    def set_up(self) -> None:
+        """Check the plan, set `encoded_size` and `actor_delay`, and keep what the rule needs.
+
+        Called when `plan`, `settings`, `values`, sizes and `noise` are set. Raises ValueError if the rule
+        cannot learn the level's actions.
+        """
 
     @property
     def head_features(self) -> int:

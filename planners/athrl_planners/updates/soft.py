@@ -8,17 +8,13 @@ temperature  rises while the entropy is below its target, else falls
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from athrl_planners.planner import LevelPlan
 from athrl_planners.updates.deterministic import ContinuousRule
-from athrl_planners.updates.noise import NoiseSource
 from athrl_planners.updates.rule import LevelNetworks, Objective, Step
-from athrl_planners.updates.values import Values
 
 LOG_DEVIATION = (-5.0, 1.0)
 """Bounds of the logarithm of an action's deviation before the tanh."""
@@ -30,15 +26,10 @@ class SoftRule(ContinuousRule):
     stochastic = True
     actor_delay = 1
 
-    def __init__(
-        self,
-        plan: LevelPlan,
-        settings: Any,
-        values: Values,
-        sizes: tuple[int, int],
-        noise: NoiseSource,
-    ) -> None:
-        super().__init__(plan, settings, values, sizes, noise)
+    def set_up(self) -> None:
+        """The temperature, and the entropy to which it is held."""
+        super().set_up()
+        settings = self.settings
         self.log_temperature = nn.Parameter(torch.tensor(math.log(settings.sac_temperature)))
         self._wanted_entropy = settings.sac_target_entropy * self.encoded_size
 

@@ -127,7 +127,8 @@ class ReplaySection(Section):
         default=0,
         ge=0,
         le=128,
-        description="Burn-in: first decisions of a sequence, which only update the recurrent state.",
+        description="Burn-in, only with a memory: first decisions of a sequence, which update its state "
+        "alone.",
     )
     prioritised: bool = Field(
         default=False,
