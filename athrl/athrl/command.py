@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
-from athrl.output import accept_any_text, start_log
+from athrl.output import accept_any_text, discard_output, flush_output, start_log
 from athrl.stopping import leave
 from athrl.usage import UsageError, explain
 
@@ -56,6 +56,9 @@ SUBCOMMANDS = {
 
 _OF_PATHS = (errno.EACCES, errno.ELOOP, errno.ENAMETOOLONG, errno.EPERM)
 """Errors of a path, which whoever gave it can correct."""
+
+_OF_DISKS = (errno.EDQUOT, errno.EFBIG, errno.ENOSPC)
+"""Errors of a write, above all of an output that goes into a file."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -108,7 +111,9 @@ def _run() -> int:
     try:
         start_log()
         _load([wanted] if wanted else SUBCOMMANDS)
-        return _command()(prog_name="athrl", standalone_mode=False) or 0
+        code = _command()(prog_name="athrl", standalone_mode=False) or 0
+        flush_output()
+        return code
     except UsageError as error:  # an option that is missing, unknown or out of bounds
         wrong = explain(error)
         if wrong:  # without a subcommand the help has been shown
@@ -119,10 +124,15 @@ def _run() -> int:
     except expected_errors() as error:
         say(error)
         return EXPECTED_ERROR
-    except OSError as error:  # of a path in the command line that is only looked up
-        if error.errno not in _OF_PATHS:
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        if error.errno in _OF_PATHS:  # of a path in the command line that is only looked up
+            say(f"{error.filename}: {reason}")
+        elif error.errno in _OF_DISKS:
+            discard_output()
+            say(f"{error.filename or 'standard output'} cannot be written: {reason}; make room and try again")
+        else:
             raise
-        say(f"{error.filename}: {(error.strerror or str(error)).lower()}")
         return EXPECTED_ERROR
 
 

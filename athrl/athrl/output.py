@@ -31,6 +31,23 @@ def accept_any_text() -> None:
             stream.reconfigure(errors=_HANDLER)
 
 
+def flush_output() -> None:
+    """Write what standard output has kept back, so that an error of it is not told by Python at its exit."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:  # its reader has seen enough
+        discard_output()
+
+
+def discard_output() -> None:
+    """Let standard output lead nowhere after it has failed: Python would try again at its exit."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
 def start_log() -> None:
     """Log to standard error, athrl's own packages at the level of `ATHRL_LOG`.
 

@@ -54,6 +54,28 @@ def printed(*words: str, **environment: str) -> str:
     return result.stdout.decode("ascii")
 
 
+@pytest.mark.parametrize("words", [["policies", "--json"], ["--help"]])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_full_disk_under_the_output_is_told_in_one_line(words: list[str], unbuffered: str) -> None:
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(
+            [sys.executable, "-m", "athrl", *words],
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered}, stdout=full, stderr=subprocess.PIPE,
+            text=True, timeout=PATIENCE, check=False,
+        )  # fmt: skip
+    told = "athrl: standard output cannot be written: no space left on device; make room and try again\n"
+    assert (result.returncode, result.stderr) == (2, told)
+
+
+def test_reader_that_has_seen_enough_is_no_error() -> None:
+    shell = f"{sys.executable} -m athrl policies --json | true; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(
+        ["bash", "-c", shell], env={**os.environ, "PYTHONUNBUFFERED": ""}, stderr=subprocess.PIPE,
+        timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert (result.returncode, result.stderr) == (0, b"")
+
+
 def test_help_has_borders_of_ascii() -> None:
     assert "| train " in printed("--help")
 

@@ -87,8 +87,7 @@ def join_run(
             raise
     if found is None or not _take_name(session, run, role, found, stop, stack):
         return None
-    if name is None:
-        log.info("takes part in the run %s as %s", run, found)
+    log.info("takes part in the run %s as %s", run, found)
     if host and role == "actor":
         stack.enter_context(announce_presence(session, run, HOST_ROLE, host))
     return Joined(session, run_file, found)

@@ -37,7 +37,7 @@ from athrl_actor.acknowledgement_watch import AcknowledgementWatch
 from athrl_actor.failures import FailureCount
 from athrl_actor.frames import frame_of_moment
 from athrl_actor.policy_lag import PolicyLag
-from athrl_actor.progress import ProgressLog
+from athrl_actor.progress import ProgressLog, progress_line
 from athrl_actor.rollout import Moment, Rollout
 from athrl_actor.seeds import ActorSeeds
 from athrl_actor.warm_up import WarmUp
@@ -220,7 +220,9 @@ class Actor:
         self._uploader.give_up(len(self._pending))
         self._pending.clear()
         self._uploader.close()
-        self._metrics.publish(self._report_values())
+        values = self._report_values()
+        self._metrics.publish(values)
+        log.info("%s: %s", "the run is finished" if self._finished() else "stopped", progress_line(values))
 
     def _report(self) -> None:
         """Publish metrics about once a second, and log the progress about once a minute."""

@@ -1,5 +1,6 @@
 """An actor against a learner's end of the protocol, over real Zenoh on loopback."""
 
+import logging
 import subprocess
 import sys
 import threading
@@ -204,7 +205,10 @@ def test_the_actor_continues_when_the_learner_comes_back(learner, start: Start):
 
 
 @pytest.mark.parametrize("how", ["state", "intake"])
-def test_the_actor_ends_by_itself_when_the_run_is_finished(learner, start: Start, how: str):
+def test_the_actor_ends_by_itself_when_the_run_is_finished(
+    learner, start: Start, how: str, caplog: pytest.LogCaptureFixture
+):
+    caplog.set_level(logging.INFO)
     learner.publish(0)
     service = start()
     learner.wait_for_chunks(2)
@@ -213,14 +217,17 @@ def test_the_actor_ends_by_itself_when_the_run_is_finished(learner, start: Start
     else:
         learner.finished = True
     service.join()
+    assert caplog.messages[-1].startswith("the run is finished: ")
 
 
-def test_stopping_sends_the_open_chunks(learner, start: Start):
+def test_stopping_sends_the_open_chunks(learner, start: Start, caplog: pytest.LogCaptureFixture):
+    caplog.set_level(logging.INFO)
     learner.publish(0)
     service = start()
     learner.wait_for_chunks(3)
     service.stop.set()
     service.join()
+    assert caplog.messages[-1].startswith("stopped: ")
     last = {environment: chunks[-1] for (environment, _), chunks in by_episode(learner.chunks).items()}
     decisions = [
         sum(chunk.length for chunk in learner.chunks if chunk.environment == env_index)

@@ -117,6 +117,7 @@ class Evaluator(EpisodeObserver):
                 return
             self._score_newest_if_due()
             self._stop.wait(POLL_SECONDS)
+        log.info("stopped")
 
     def on_step(self, step: EpisodeStep) -> None:
         """Keep publishing metrics while episodes are driven."""
@@ -140,14 +141,13 @@ class Evaluator(EpisodeObserver):
 
     def _compare(self, state: RunState) -> None:
         """Score the last policy and the reference drivers on the same episodes, unless that has been done."""
-        if compared_decisions(self._folder.path) == state.environment_steps:
-            log.info("the run is finished, and its comparison is in %s", self._folder.path)
-            return
-        update = self._last_policy(state)
-        if update is None:
-            log.warning("the run is finished, but its policy did not come: no comparison")
-            return
-        self._scoring.compare(update, self._stop)
+        if compared_decisions(self._folder.path) != state.environment_steps:
+            update = self._last_policy(state)
+            if update is None:
+                log.warning("the run is finished, but its policy did not come: no comparison")
+                return
+            self._scoring.compare(update, self._stop)
+        log.info("the run is finished, and its comparison is in %s", self._folder.path)
 
     def _last_policy(self, state: RunState) -> PolicyUpdate | None:
         """The policy that the finished run ended with; it may arrive a little later than the run's state."""

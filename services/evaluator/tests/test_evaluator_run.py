@@ -1,6 +1,7 @@
 """An evaluator against a learner's end of the protocol, over real Zenoh on loopback."""
 
 import json
+import logging
 import os
 import threading
 import time
@@ -94,10 +95,13 @@ def test_each_new_version_is_scored_recorded_and_published(learner, start: Start
     assert [json.loads(line)["policy_version"] for line in lines] == [0, 4]
 
 
-def test_a_finished_run_is_compared_with_the_reference_drivers(learner, start: Start, tmp_path: Path):
+def test_a_finished_run_is_compared_with_the_reference_drivers(learner, start: Start, tmp_path: Path, caplog):
+    caplog.set_level(logging.INFO)
     learner.publish(7)
     learner.announce(Phase.FINISHED, 7)
     start().join()
+    assert caplog.messages[0] == "takes part in the run test as evaluator"
+    assert caplog.messages[-1] == f"the run is finished, and its comparison is in {tmp_path / 'test'}"
     comparison = json.loads((tmp_path / "test" / "evaluation.json").read_text())
     assert set(comparison["drivers"]) == {"policy", "random", "blind", "rule-based"}
     assert all(set(scores) == SCORES for scores in comparison["drivers"].values())
