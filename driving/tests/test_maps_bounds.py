@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from athrl_driving.maps import MapError, load_town
-from athrl_driving.maps.opendrive import bounds
+from athrl_driving.maps.opendrive import bounds, read_opendrive
 
 HEAD = '<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="4"/>'
 LANE = '<lane id="-1" type="driving"><link><predecessor id="-1"/><successor id="-1"/></link><width sOffset="0" a="3.5" b="0" c="0" d="0"/>{inside}</lane>'  # noqa: E501
@@ -136,6 +136,13 @@ def test_entities_do_not_unfold(tmp_path: Path) -> None:
     for inside in ("&l11;", "&file;", '<userData code="&l11;"/>', ""):
         line = refusal(tmp_path, f"{kind}<OpenDRIVE>{inside}{road()}</OpenDRIVE>")
         assert "document type" in line or "amplification" in line
+
+
+def test_a_document_type_without_entities_is_passed_over(tmp_path: Path) -> None:
+    """As files of the first revisions have it; nothing is fetched."""
+    path = tmp_path / "old.xodr"
+    path.write_text(f'<!DOCTYPE OpenDRIVE SYSTEM "OpenDRIVE.dtd"><OpenDRIVE>{road()}</OpenDRIVE>')
+    assert list(read_opendrive(path).roads)
 
 
 def many_lanes() -> str:

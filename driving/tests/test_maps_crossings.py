@@ -9,6 +9,7 @@ from athrl_driving.drivers import RuleBasedDriver
 from athrl_driving.envs import TownEnv
 from athrl_driving.maps import Town, load_town
 from athrl_driving.maps.crossings import FOUND
+from athrl_driving.maps.lying_over import FOUND as LYING_OVER
 from athrl_driving.traffic import starting_places
 
 from driving.tests.small_map import SmallMap
@@ -50,7 +51,7 @@ def lifted(path: Path, height: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize("angle", [0.5 * math.pi, 0.25 * math.pi, math.radians(150.0), math.radians(20.0)])
+@pytest.mark.parametrize("angle", [0.5 * math.pi, 0.25 * math.pi, math.radians(150.0), math.radians(10.0)])
 @pytest.mark.parametrize("lanes", [(1, -1), (-1,), (2, 1, -1, -2)])
 def test_vehicles_on_roads_that_cross_do_not_touch(
     tmp_path: Path, angle: float, lanes: tuple[int, ...]
@@ -110,9 +111,20 @@ def test_a_junction_of_roads_that_are_not_connected_is_such_a_crossing(tmp_path:
     assert len(places(town)) == len(town.findings) == len(town.junctions) == 1
 
 
+@pytest.mark.parametrize(("beside", "metres"), [(0.0, 600.0), (1.0, 200.0), (3.5, 0.0)])
+def test_roads_that_lie_on_each_other_are_told_of(tmp_path: Path, beside: float, metres: float) -> None:
+    small_map = SmallMap()
+    lanes = (1, -1) if beside == 0.0 else (-1,)
+    small_map.road(1, (0.0, 0.0, 0.0), [(300.0, 0.0)], lanes)
+    small_map.road(2, (0.0 if beside == 0.0 else 100.0, beside, 0.0), [(300.0, 0.0)], lanes)
+    found = [finding for finding in small_map.load(tmp_path).findings if finding.kind == LYING_OVER]
+    assert [finding.metres for finding in found] == ([pytest.approx(metres, abs=8.0)] if metres else [])
+    assert all(finding.place == "road 1 and road 2" for finding in found)
+
+
 def test_no_town_has_such_a_crossing() -> None:
     for name in ("town02", "town03", "town04"):
-        assert places(load_town(name)) == []
+        assert load_town(name).findings == ()
 
 
 def test_the_ego_drives_over_such_a_crossing(tmp_path: Path) -> None:

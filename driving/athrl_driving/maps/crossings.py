@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from athrl_driving.maps.chords import CHORD, are_on_one_level, are_one_way, chords_of
 from athrl_driving.maps.disjoint_sets import DisjointSets
 from athrl_driving.maps.findings import Findings
-from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
 from athrl_driving.maps.near_pairs import near_pairs
 from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
 from athrl_driving.maps.overlaps import CLEARANCE, SHARE_OF_WIDTH
@@ -23,7 +23,7 @@ from athrl_driving.maps.standing_segments import STANDING_LENGTH, predecessors_o
 
 FOUND = "roads cross without a junction: at the crossing one vehicle at a time drives, as in a junction"
 
-_LEAST_ANGLE = math.radians(15.0)
+_LEAST_ANGLE = math.radians(5.0)
 """Lanes that meet at a smaller angle run beside each other: no crossing, but a drawing that is not exact."""
 
 _BEFORE = 1.0
@@ -32,14 +32,7 @@ _BEFORE = 1.0
 _CUT = 2.0
 """Metres between places where a road is cut, about."""
 
-_APART = 25.0
-"""Metres to drive from one lane's end of a crossing to the other's, below which it is one bend."""
-
-_CHORD = 4.0
-"""Metres of lane that are taken as straight."""
-
 Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Links = dict[LaneSegment, list[LaneSegment]]
 
 
@@ -59,17 +52,6 @@ class _Stretch(NamedTuple):
     crossing: int
 
 
-class _Chords(NamedTuple):
-    """Segments as polylines: N chords from one point to the next."""
-
-    segment: Integers
-    """[N] its number."""
-    s: Floats
-    """[N, 2] m along the segment, of both ends."""
-    points: Floats
-    """[N, 2, 2] of both ends: x and y, m."""
-
-
 def make_junctions_of_crossings(findings: Findings, carriageways: list[Carriageway]) -> None:
     """Make the parts of ordinary lanes junctions on which they cross each other on one level.
 
@@ -80,7 +62,9 @@ def make_junctions_of_crossings(findings: Findings, carriageways: list[Carriagew
     if not ordinary:
         return
     before = predecessors_of(segments)
-    crossings = [crossing for crossing in _crossings(ordinary) if not _is_one_bend(crossing)]
+    crossings = [
+        crossing for crossing in _crossings(ordinary) if not are_one_way(crossing.segments, crossing.places)
+    ]
     if not crossings:
         return
     stretches = _stretches(crossings, before)
@@ -92,9 +76,9 @@ def make_junctions_of_crossings(findings: Findings, carriageways: list[Carriagew
 
 def _crossings(segments: list[LaneSegment]) -> Iterator[_Crossing]:
     """Yield where centre lines cross on one level."""
-    chords = _chords(segments)
+    chords = chords_of(segments)
     middle = chords.points.mean(axis=1)
-    for a, b in near_pairs(middle[:, 0], middle[:, 1], _CHORD, "parts of lanes"):
+    for a, b in near_pairs(middle[:, 0], middle[:, 1], CHORD, "parts of lanes"):
         other = chords.segment[a] < chords.segment[b]
         a, b = a[other], b[other]
         for place, share_a, share_b in _meeting(chords.points[a], chords.points[b]):
@@ -102,23 +86,8 @@ def _crossings(segments: list[LaneSegment]) -> Iterator[_Crossing]:
             pair = segments[chords.segment[first]], segments[chords.segment[second]]
             places = _along(chords.s[first], share_a), _along(chords.s[second], share_b)
             angle = _angle(pair, places)
-            if angle >= _LEAST_ANGLE and _on_one_level(pair, places):
+            if angle >= _LEAST_ANGLE and are_on_one_level(pair, places):
                 yield _Crossing(pair, places, angle)
-
-
-def _chords(segments: list[LaneSegment]) -> _Chords:
-    numbers, s, points = [], [], []
-    for number, segment in enumerate(segments):
-        stations = np.linspace(0.0, segment.length, max(1, math.ceil(segment.length / _CHORD)) + 1)
-        numbers.append(np.full(len(stations) - 1, number))
-        s.append(np.stack([stations[:-1], stations[1:]], axis=1))
-        half = 0.5 * segment.curvature * stations
-        chord, direction = stations * np.sinc(half / np.pi), segment.heading + half
-        places = np.stack(
-            [segment.x + chord * np.cos(direction), segment.y + chord * np.sin(direction)], axis=1
-        )
-        points.append(np.stack([places[:-1], places[1:]], axis=1))
-    return _Chords(np.concatenate(numbers), np.concatenate(s), np.concatenate(points))
 
 
 def _meeting(first: Floats, second: Floats) -> Iterator[tuple[int, float, float]]:
@@ -146,34 +115,6 @@ def _angle(pair: tuple[LaneSegment, LaneSegment], places: tuple[float, float]) -
     """Return the angle between two lanes at a crossing, 0 to a right one."""
     first, second = (segment.at(s)[2] for segment, s in zip(pair, places, strict=True))
     return math.asin(min(1.0, abs(math.sin(first - second))))
-
-
-def _on_one_level(pair: tuple[LaneSegment, LaneSegment], places: tuple[float, float]) -> bool:
-    low, high = sorted(
-        segment.elevation + (segment.end_elevation - segment.elevation) * s / segment.length
-        for segment, s in zip(pair, places, strict=True)
-    )
-    return high - low <= ROAD_LEVEL_HEIGHT
-
-
-def _is_one_bend(crossing: _Crossing) -> bool:
-    """Tell whether a lane crosses one that it leads to at once: where linked ends do not meet exactly."""
-    (first, second), (here, there) = crossing.segments, crossing.places
-    return _leads(first, here, second, there) or _leads(second, there, first, here)
-
-
-def _leads(origin: LaneSegment, s: float, target: LaneSegment, until: float) -> bool:
-    """Tell whether a way of less than `_APART` leads from a place on one segment to one on another."""
-    work, seen = [(origin, origin.length - s)], {origin}
-    while work:
-        segment, length = work.pop()
-        for after in segment.successors:
-            if after is target and length + until < _APART:
-                return True
-            if after not in seen and length + after.length < _APART:
-                seen.add(after)
-                work.append((after, length + after.length))
-    return False
 
 
 def _stretches(crossings: list[_Crossing], before: Links) -> dict[LaneSegment, list[_Stretch]]:

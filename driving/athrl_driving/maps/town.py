@@ -18,6 +18,7 @@ from athrl_driving.maps.findings import Finding
 from athrl_driving.maps.junctions import Junction, number_junctions
 from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals
 from athrl_driving.maps.lane_graph_builder import build_graph, build_movements, number_lanes
+from athrl_driving.maps.lying_over import note_lanes_lying_over
 from athrl_driving.maps.network import TownNetwork, build_network
 from athrl_driving.maps.opendrive import MapError, read_opendrive
 from athrl_driving.maps.opendrive.carriageways import LaneSegment
@@ -170,6 +171,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     skip_very_short(carriageways)
     make_junctions_of_forks(carriageways)
     make_junctions_of_crossings(content.findings, carriageways)
+    note_lanes_lying_over(content.findings, carriageways)
     segments = all_segments(carriageways)
     standing = standing_segments(content.name, segments)
     drivable = drivable_part(carriageways, standing, find_movements(segments, standing))

@@ -110,7 +110,8 @@ def _check_root(name: str, root: etree._Element) -> None:
     tag = etree.QName(root).localname
     if tag != "OpenDRIVE":
         raise MapError(f"{name}: line {root.sourceline}: the root is <{tag}>, it must be <OpenDRIVE>")
-    if root.getroottree().docinfo.internalDTD is not None:
+    types = root.getroottree().docinfo.internalDTD
+    if types is not None and next(types.iterentities(), None) is not None:
         raise MapError(f"{name}: it has a document type with entities, which OpenDRIVE does not need")
 
 
