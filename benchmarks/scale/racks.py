@@ -88,6 +88,7 @@ def racks(count: int, delay: float, loss: float) -> Iterator[tuple[list[Rack], L
             [*words, *(name for pair in names for name in pair)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            start_new_session=True,  # see `processes.athrl`
         )
         stack.callback(_end, carrier, line)
         if carrier.stdout.readline() != b"ready\n":

@@ -29,7 +29,7 @@ def measured_table(
     ]
     rows.append(
         [
-            "drive, directly",
+            f"{driven.actors} that drive, directly",
             round(driven.per_second),
             round(1000 * driven.learner_cpu, 1),
             None,
