@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from athrl_protocol import RunFile
+
 from benchmarks.scale.connections import Connected
 from benchmarks.scale.driving import Driven
 from benchmarks.scale.flood import Flooded
 
 LINE_BITS = 10e9
 """Of one line, each way, in a second."""
+PUBLISH_SECONDS = RunFile().learner.publish_seconds
+"""Between two policies, by default; the learner that was measured hardly trains, and publishes less often."""
 BEHIND_A_ROUTER = 50
 """Actors that share a rack's router."""
 
@@ -57,7 +61,7 @@ def need(
     """What actors need that each make `per_actor` decisions a second; proportional to what was measured."""
     direct, routed, _ = flooded
     decisions = actors * per_actor
-    to_an_actor = 8 * driven.bytes_to_an_actor
+    to_an_actor = 8 * bytes_to_a_connection(driven)
     return Need(
         decisions=decisions,
         learner_cores=decisions * direct.learner_cpu / 1000,
@@ -67,6 +71,13 @@ def need(
         line_out_routed=-(-actors // BEHIND_A_ROUTER) * to_an_actor / LINE_BITS,
         learner_mebibytes=actors * connected.learner_mebibytes,
     )
+
+
+def bytes_to_a_connection(driven: Driven) -> float:
+    """Bytes a second to each connection of a learner that trains: it publishes every `PUBLISH_SECONDS`."""
+    elapsed = driven.decisions / driven.per_second
+    others = driven.bytes_to_an_actor - driven.policies * driven.policy_bytes / elapsed
+    return max(0.0, others) + driven.policy_bytes / PUBLISH_SECONDS
 
 
 def bounds(flooded: Sequence[Flooded], driven: Driven, connected: Connected) -> list[Row]:
@@ -84,8 +95,8 @@ def bounds(flooded: Sequence[Flooded], driven: Driven, connected: Connected) -> 
         [
             "a line of 10 Gbit/s, policies",
             None,
-            f"{LINE_BITS / 8 / driven.bytes_to_an_actor:,.0f} actors, "
-            f"{driven.bytes_to_an_actor / 1e6:.2f} MB/s to each",
+            f"{LINE_BITS / 8 / bytes_to_a_connection(driven):,.0f} connections, "
+            f"{bytes_to_a_connection(driven) / 1e6:.2f} MB/s to each",
         ],
         [
             "1 GiB of memory for connections",

@@ -36,9 +36,15 @@ def reading(process: subprocess.Popen[bytes]) -> Reading:
 
 @contextmanager
 def athrl(words: Sequence[str], log: Path, within: Sequence[str] = ()) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a command of athrl, whose output goes to `log`; it is ended with the block."""
+    """Run a command of athrl, whose output goes to `log`; it is ended with the block.
+
+    It is in a session of its own: Linux shares cores between sessions first, and one with sixteen actors
+    would leave the learner and the lines a sixteenth of a share.
+    """
     with log.open("wb") as output:
-        process = subprocess.Popen([*within, *_ATHRL, *words], stdout=output, stderr=output)
+        process = subprocess.Popen(
+            [*within, *_ATHRL, *words], stdout=output, stderr=output, start_new_session=True
+        )
     try:
         yield process
     finally:

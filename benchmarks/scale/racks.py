@@ -12,7 +12,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-_SUBNET = "10.213"
 _QUEUE = 20_000
 """Packets that wait for the process which carries them: it shares the cores with those who send."""
 _PATIENCE = 30.0
@@ -78,6 +77,7 @@ def racks(count: int, delay: float, loss: float) -> Iterator[tuple[list[Rack], L
     Yields the racks and the counts of their lines, which are complete when the block has ended.
     """
     mark, line = f"at{os.getpid() % 100_000}", Line()
+    subnet = f"10.{100 + os.getpid() % 90}"  # another process may have racks as well
     names = [(f"{mark}h{number}", f"{mark}r{number}") for number in range(count)]
     words = [sys.executable, "-m", "benchmarks.scale.link", str(delay), str(loss)]
     with ExitStack() as stack:
@@ -88,11 +88,12 @@ def racks(count: int, delay: float, loss: float) -> Iterator[tuple[list[Rack], L
             [*words, *(name for pair in names for name in pair)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            start_new_session=True,  # see `processes.athrl`
         )
         stack.callback(_end, carrier, line)
         if carrier.stdout.readline() != b"ready\n":
             sys.exit("the lines between racks could not be made: see the error above")
-        made = [_rack(number, *pair) for number, pair in enumerate(names)]
+        made = [_rack(f"{subnet}.{number}", *pair) for number, pair in enumerate(names)]
         carrier.stdin.write(b"\n")
         carrier.stdin.flush()
         yield made, line
@@ -102,9 +103,9 @@ def _space(interface: str) -> str:
     return f"{interface}s"
 
 
-def _rack(number: int, here: str, there: str) -> Rack:
+def _rack(subnet: str, here: str, there: str) -> Rack:
     """Bring up both ends of a line, one of them in the rack's namespace."""
-    space, subnet = _space(there), f"{_SUBNET}.{number}"
+    space = _space(there)
     _ip("link", "set", there, "netns", space)
     for words, address, name in (((), f"{subnet}.1/30", here), (("-n", space), f"{subnet}.2/30", there)):
         _ip(*words, "address", "add", address, "dev", name)

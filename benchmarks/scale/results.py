@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.scale.driving import Driven
 from benchmarks.scale.flood import Flooded
-from benchmarks.scale.plan import BEHIND_A_ROUTER, Need, Row
+from benchmarks.scale.plan import BEHIND_A_ROUTER, PUBLISH_SECONDS, Need, Row
 
 _SECTION = "Experience on its way"
 _PAGE = "how-to/run-on-a-cluster.md"
@@ -29,7 +29,7 @@ def measured_table(
     ]
     rows.append(
         [
-            "drive, directly",
+            f"{driven.actors} that drive, directly",
             round(driven.per_second),
             round(1000 * driven.learner_cpu, 1),
             None,
@@ -55,7 +55,7 @@ def measured_table(
         "notes": [
             "Everything that was acknowledged was stored, on each way.",
             "Actors that only send have made-up pictures, which compress worse than a town's.",
-            f"To each actor that drives go {driven.bytes_to_an_actor / 1e6:.2f} MB/s, mostly policies.",
+            f"Policies: {driven.policy_bytes / 1e6:.1f} MB to each connection every {PUBLISH_SECONDS:g} s.",
         ],
     }
 
@@ -64,9 +64,8 @@ def plan_table(bounds: Sequence[Row], needs: Mapping[int, Need], per_actor: floa
     """What one of each bears, and what more actors than were measured would need."""
     rows: list[Row] = [[what, bears if bears is None else f"{bears:,}", why] for what, bears, why in bounds]
     for actors, each in needs.items():
-        measured = "" if actors == min(needs) else ", extrapolated"
         need = f"intake {each.learner_cores:.1f} cores; line in {each.line_in:.0%}, out {each.line_out:.0%}"
-        rows.append([f"{actors:,} actors{measured}", f"{each.decisions:,.0f}", need])
+        rows.append([f"{actors:,} actors, extrapolated", f"{each.decisions:,.0f}", need])
     more = {actors: each for actors, each in needs.items() if actors != min(needs)}
     routed = " and ".join(f"{each.line_out_routed:.0%} by {actors:,}" for actors, each in more.items())
     return {
@@ -79,6 +78,7 @@ def plan_table(bounds: Sequence[Row], needs: Mapping[int, Need], per_actor: floa
         "columns": ["what", "decisions/s", "because of"],
         "rows": rows,
         "notes": [
+            "Measured on busy cores, where costs rise: what a core bears here is a lower bound.",
             f"Extrapolated in proportion, {per_actor:g} decisions/s of each actor. Training is not counted.",
             *(
                 f"What breaks first with {actors:,}: {each.breaks or 'nothing'}."
