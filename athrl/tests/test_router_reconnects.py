@@ -22,7 +22,7 @@ from athrl_protocol import (
     serve_run_file,
 )
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 RUN = "routed"
 STATE = RunState(Phase.TRAINING, 1, 2, 0, 0)
 
