@@ -15,6 +15,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from athrl.run_view import RunSnapshot, RunView
 from athrl.runs import declare_installed_planners
 from athrl_protocol.run_file import declare_planners, declared_planners
 
@@ -205,5 +206,26 @@ def eventually() -> Callable[[Callable[[], object], float], None]:
         while not condition():
             assert time.monotonic() < deadline, f"not within {seconds} s"
             time.sleep(0.1)
+
+    return wait
+
+
+@pytest.fixture
+def seen() -> Callable[[str, str, Callable[[RunSnapshot], object], float], RunSnapshot]:
+    """Wait until a live run at an address is as a condition says, at most so many seconds; return it.
+
+    It is looked at from this process: a command that looks costs more than a second of a core each time,
+    which the run that is waited for needs itself.
+    """
+
+    def wait(
+        address: str, run: str, condition: Callable[[RunSnapshot], object], seconds: float
+    ) -> RunSnapshot:
+        deadline = time.monotonic() + seconds
+        with RunView(address, run, timeout=seconds) as view:
+            while not condition(snapshot := view.snapshot()):
+                assert time.monotonic() < deadline, f"not within {seconds} s: {snapshot}"
+                time.sleep(0.1)
+        return snapshot
 
     return wait

@@ -3,14 +3,17 @@
 import json
 import re
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from athrl.run_view import RunSnapshot
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = pytest.mark.timeout(900)
 
 RUN_SECONDS = 200.0
+START_SECONDS = 240.0
 
 
 def checkpoints(folder: Path) -> list[Path]:
@@ -58,8 +61,13 @@ def test_run_trains_evaluates_and_ends_by_itself(
     assert set(wanted.split()) <= set(facts)
 
 
+def has_updated(more_than: int) -> Callable[[RunSnapshot], bool]:
+    """Whether a run's learner has made more than so many updates."""
+    return lambda run: run.state is not None and run.state.updates > more_than
+
+
 def test_interrupted_run_leaves_a_checkpoint_and_goes_on(
-    command, eventually, tiny: list[str], port: int, tmp_path: Path
+    command, seen, tiny: list[str], port: int, tmp_path: Path
 ) -> None:
     arguments = [
         "--name",
@@ -73,12 +81,8 @@ def test_interrupted_run_leaves_a_checkpoint_and_goes_on(
     ]
     address = f"tcp/127.0.0.1:{port}"
 
-    def status() -> dict[str, Any]:
-        result = command.run("status", "--connect", address, "--run", "long", "--json", seconds=60)
-        return json.loads(result.stdout) if result.returncode == 0 else {}
-
     first = command.start("train", *tiny, *arguments)
-    eventually(lambda: status().get("updates", 0) > 20, 120)
+    seen(address, "long", has_updated(20), START_SECONDS)
     first.send_signal(signal.SIGINT)
     assert first.wait(timeout=90) == 130, command.said(first)
     assert "--resume" in command.said(first)
@@ -87,16 +91,15 @@ def test_interrupted_run_leaves_a_checkpoint_and_goes_on(
     reached = json.loads((tmp_path / "runs" / "long" / "policies" / "latest.json").read_text())
 
     second = command.start("train", "--resume", "long", "--actors", "1", "--viewer-port", "0")
-    eventually(lambda: status().get("updates", 0) > reached["updates"], 120)
-    assert status()["environment_steps"] >= reached["environment_steps"]
+    seen(address, "long", has_updated(reached["updates"]), START_SECONDS)
+    result = command.run("status", "--connect", address, "--run", "long", "--json", seconds=60)
+    assert json.loads(result.stdout)["environment_steps"] >= reached["environment_steps"]
     second.send_signal(signal.SIGTERM)
     assert second.wait(timeout=90) == 130, command.said(second)
     assert not command.left()
 
 
-def test_killed_actor_and_killed_learner_are_started_again(
-    command, eventually, tiny: list[str], port: int
-) -> None:
+def test_killed_actor_and_killed_learner_are_started_again(command, seen, tiny: list[str], port: int) -> None:
     arguments = [
         "--name",
         "hit",
@@ -109,10 +112,6 @@ def test_killed_actor_and_killed_learner_are_started_again(
     ]
     address = f"tcp/127.0.0.1:{port}"
 
-    def status() -> dict[str, Any]:
-        result = command.run("status", "--connect", address, "--run", "hit", "--json", seconds=60)
-        return json.loads(result.stdout) if result.returncode == 0 else {}
-
     def kill(service: str) -> None:
         for process in command.left():
             if process.cmdline()[3:4] == [service]:
@@ -121,23 +120,23 @@ def test_killed_actor_and_killed_learner_are_started_again(
         raise AssertionError(f"no {service} is running")
 
     run = command.start("train", *tiny, *arguments)
-    eventually(lambda: status().get("updates", 0) > 20, 120)
+    seen(address, "hit", has_updated(20), START_SECONDS)
     kill("actor")
     command.wait_until_said(run, "actor-1 was ended by signal 9", 30)
-    eventually(lambda: "actor-1" in status().get("actors", {}), 60)
-    # The learner's first checkpoint is two seconds old by now: it resumes from there.
+    seen(address, "hit", lambda now: ("actor", "actor-1") in now.metrics, START_SECONDS)
+    # So that it resumes from there.
+    seen(address, "hit", lambda now: now.learner_metric("checkpoints_written"), START_SECONDS)
     kill("learner")
     command.wait_until_said(run, "learner was ended by signal 9", 30)
-    eventually(lambda: status().get("updates", 0) > 20, 120)
+    seen(address, "hit", has_updated(20), START_SECONDS)
     run.send_signal(signal.SIGINT)
     assert run.wait(timeout=90) == 130, command.said(run)
 
 
-def test_no_process_outlives_a_killed_command(command, eventually, tiny: list[str], port: int) -> None:
+def test_no_process_outlives_a_killed_command(command, seen, eventually, tiny: list[str], port: int) -> None:
     arguments = ["--name", "orphans", "--actors", "1", "--viewer-port", "0"]
     run = command.start("train", *tiny, *arguments, "--set", "run.environment_steps=1000000")
     address = f"tcp/127.0.0.1:{port}"
-    status = ["status", "--connect", address, "--run", "orphans", "--check", "evaluator"]
-    eventually(lambda: command.run(*status, seconds=60).returncode == 0, 120)
+    seen(address, "orphans", lambda now: ("evaluator", "evaluator") in now.present, START_SECONDS)
     run.kill()
     eventually(lambda: not command.left(), 60)

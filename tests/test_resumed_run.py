@@ -10,7 +10,7 @@ import pytest
 from athrl_driving.maps.town import _FOLDER as TOWNS
 from athrl_protocol.run_file import read_run_file, saved_toml, with_whole_maps
 
-SECONDS = 120.0
+SECONDS = 200.0
 
 
 def test_containers_made_anew_without_their_settings_keep_those_of_the_run(

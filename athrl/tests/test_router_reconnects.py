@@ -25,7 +25,7 @@ from athrl_protocol import (
 )
 from athrl_protocol.announcements.address_file import ADDRESS_FILE
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 RUN = "routed"
 STATE = RunState(Phase.TRAINING, 1, 2, 0, 0)
 

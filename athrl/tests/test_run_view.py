@@ -15,7 +15,7 @@ from athrl_protocol import Phase, RunFile, RunState, StatePublisher, open_sessio
 
 from athrl import run_view
 
-PATIENCE = 30.0
+PATIENCE = 120.0
 LOOKS = 30
 
 _LOOK = """
@@ -103,8 +103,8 @@ def test_paused_learner_is_told_from_an_absent_one(address: str, monkeypatch: py
         RunView(address, None, timeout=PATIENCE) as view,
     ):
         try:
-            time.sleep(2.0)
-            assert view.snapshot().silence == ""
+            time.sleep(2.0)  # longer than one that is silent may be
+            until("")
             learner.send_signal(signal.SIGSTOP)
             until("the learner is paused or very busy")
             until("the learner is paused or very busy", connected=False)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from athrl.submit.scripts import Request, Run, make_scripts
 
-SECONDS = 30.0
+SECONDS = 120.0
 
 STAND_IN = """\
 #!/bin/bash

@@ -51,7 +51,7 @@ def test_service_that_leaves_a_little_before_the_end_is_known_stays_away(tmp_pat
     said: list[str] = []
     ended: list[bool] = []
     supervisor = Supervisor(said.append)
-    one = service(tmp_path, "pass", may_leave=lambda: bool(ended), early_seconds=0.5)
+    one = service(tmp_path, "pass", may_leave=lambda: bool(ended), early_seconds=2.0)
     supervisor.start(one)
     watch(supervisor, lambda: one.restart_at is not None)
     ended.append(True)

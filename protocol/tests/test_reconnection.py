@@ -19,7 +19,7 @@ from athrl_protocol import open_session
 from athrl_protocol.transport import connection_monitor, reconnection
 from athrl_protocol.transport.session import open_router
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 LEASE = 60_000  # ms; nothing here is noticed because of it
 LEFT_ALONE = 8.0
 OPENED = 2  # connections: a probe, and the session's

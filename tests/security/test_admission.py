@@ -18,7 +18,7 @@ from athrl_protocol.security.certificates import find_certificates
 
 from athrl import certificates
 
-SECONDS = 90.0
+SECONDS = 200.0
 PATIENCE = 30.0
 
 
@@ -152,7 +152,7 @@ def test_nobody_else_can_pass_for_the_learner(sessions, port: int, ours: Path) -
         open_session(listen=f"127.0.0.1:{port}", timeout=PATIENCE, run="guarded", certificates=impostor)
     )
     with pytest.raises(NotAdmitted, match="its certificate is not good"):
-        open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+        open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="viewer", certificates=ours)
 
 
 def test_service_does_not_start_with_a_certificate_that_no_client_would_accept(
@@ -171,7 +171,7 @@ def test_certificate_of_another_role_is_refused_before_a_learner_is_looked_for(
     command, tiny: list[str], ours: Path
 ) -> None:
     for role, other in (("actor", "viewer"), ("evaluator", "learner")):
-        result = command.run(role, "--certificates", str(ours / other), seconds=PATIENCE)
+        result = command.run(role, "--certificates", str(ours / other), seconds=SECONDS)
         one_line(result, f"ours/{other}: its certificate is for the role {other}", f"be for {role}")
 
 
@@ -179,7 +179,7 @@ def test_run_is_not_begun_with_the_certificate_of_a_single_role(command, tiny: l
     """Its actors and its evaluator could not connect, and it would wait for them forever."""
     by_setting = ["--set", f"network.certificates={ours / 'learner'}"]
     for words in (["--certificates", str(ours / "learner")], by_setting):
-        result = command.run("train", *tiny, *words, seconds=PATIENCE)
+        result = command.run("train", *tiny, *words, seconds=SECONDS)
         one_line(result, "ours/learner: it has the certificate of the role learner alone")
     assert not list(command.folder.rglob("run.toml"))
 
@@ -224,7 +224,7 @@ def test_expired_certificate_is_named(learner: zenoh.Session, port: int, ours: P
     monkeypatch.setattr(certificates, "CLOCK_DIFFERENCE", datetime.timedelta(days=9))
     certificates.renew_roles(ours, ["viewer"], None, days=-1)
     with pytest.raises(NotAdmitted, match=r"it refuses .*viewer/tls.crt \(certificate expired\)"):
-        open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+        open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="viewer", certificates=ours)
 
 
 def test_address_that_is_not_in_the_learners_certificate_is_named(sessions, port: int, ours: Path) -> None:
@@ -233,7 +233,7 @@ def test_address_that_is_not_in_the_learners_certificate_is_named(sessions, port
         open_session(listen=f"127.0.0.1:{port}", timeout=PATIENCE, run="guarded", certificates=ours)
     )
     with pytest.raises(NotAdmitted, match=r"127\.0\.0\.1.*not good"):
-        open_session(connect=f"127.0.0.1:{port}", timeout=5.0, role="viewer", certificates=ours)
+        open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="viewer", certificates=ours)
 
 
 def test_learner_without_encryption_is_named(sessions, port: int, ours: Path) -> None:

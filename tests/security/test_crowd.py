@@ -12,7 +12,7 @@ from pathlib import Path
 import zenoh
 from athrl_protocol import open_session
 
-SECONDS = 90.0
+SECONDS = 200.0
 CROWD = 80
 GIVEN_UP = 120
 """Zenoh accepts no connection for 0.1 s after each."""

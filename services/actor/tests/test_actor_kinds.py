@@ -12,7 +12,7 @@ from athrl_actor.statistics import DrivingStatistics
 from athrl_driving.policy import InvalidPolicy
 from athrl_protocol import RunFile
 
-JOIN_SECONDS = 60
+JOIN_SECONDS = 150
 
 
 class Service:

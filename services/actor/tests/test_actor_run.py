@@ -19,7 +19,7 @@ from athrl_protocol import (
     subscribe_frames,
 )
 
-JOIN_SECONDS = 60
+JOIN_SECONDS = 150
 
 
 class Service:
@@ -269,7 +269,7 @@ def test_a_taken_name_is_an_error_that_says_what_to_do(
 ):
     monkeypatch.setattr("athrl_protocol.announcements.joining.NAME_SECONDS", 0.2)
     with (
-        open_session(connect=learner.address, timeout=5) as session,
+        open_session(connect=learner.address, timeout=JOIN_SECONDS) as session,
         announce_presence(session, "test", "actor", "one"),
     ):
         assert learner.presence.wait_for(lambda present: ("actor", "one") in present, 30)

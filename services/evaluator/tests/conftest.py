@@ -98,7 +98,7 @@ class Learner:
     def announce(self, phase: Phase, version: int) -> None:
         self.states.publish(RunState(phase, 100 * version, 1000, 10 * version, version))
 
-    def wait_for(self, condition: Callable[[], bool], timeout: float = 60) -> bool:
+    def wait_for(self, condition: Callable[[], bool], timeout: float = 150) -> bool:
         with self.changed:
             return self.changed.wait_for(condition, timeout)
 

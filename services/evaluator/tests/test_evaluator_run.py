@@ -17,7 +17,7 @@ from athrl_protocol import Phase, subscribe_frames
 from athrl_spaces import REFERENCE_DRIVERS
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-JOIN_SECONDS = 60
+JOIN_SECONDS = 150
 SCORES = {
     "episodes",
     "return_mean",

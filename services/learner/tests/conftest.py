@@ -131,7 +131,7 @@ def wait_for() -> Callable[[Callable[[], bool]], None]:
     """Wait until something has happened that must happen."""
 
     def wait(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 150
         while not condition():
             assert time.monotonic() < deadline, "the awaited did not happen"
             time.sleep(0.01)
@@ -174,12 +174,12 @@ class FakeActor:
 
     def __exit__(self, *_: object) -> None:
         self._leave.set()
-        self._thread.join(timeout=60)
+        self._thread.join(timeout=150)
         assert not self._thread.is_alive()
 
     def wait_for(self, condition: Callable[[], bool]) -> None:
         """Wait until something has happened that must happen."""
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 150
         while not condition():
             assert time.monotonic() < deadline, "the awaited did not happen"
             time.sleep(0.02)

@@ -350,7 +350,7 @@ def test_a_stop_before_any_experience_leaves_a_run_to_resume(run_file):
 
 def wait_until_started(run_file: RunFile) -> None:
     policy = folder_of(run_file) / "policies" / "latest.onnx"
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 150
     while not policy.exists():
         assert time.monotonic() < deadline
         time.sleep(0.02)
