@@ -15,6 +15,8 @@ Some tests import ONNX Runtime themselves, maybe before the package that turns i
 Ports are below the range out of which the system gives ports to outgoing connections, and no process gives
 one twice: nobody else gets a port between the moment when it is found free and the moment when the test's
 process listens at it, which may be a minute later.
+
+Workers that reach the same kernel at the same time would all compile it: one does, the others load its code.
 """
 
 import itertools
@@ -22,6 +24,8 @@ import os
 import random
 import socket
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,6 +37,9 @@ import athrl  # noqa: F401
 
 _FIRST_PORT, _LAST_PORT = 12_000, 32_000
 _PORTS_A_PROCESS = 1_000
+
+_LONGEST_COMPILATION = 280.0
+"""Seconds; less than a test may take."""
 
 
 @pytest.fixture(scope="session")
@@ -62,6 +69,27 @@ def port(free_port: Callable[[], int]) -> int:
 def address(free_address: Callable[[], str]) -> str:
     """An address of the loopback interface for a learner or router."""
     return free_address()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _each_kernel_is_compiled_once() -> Iterator[None]:
+    """Let one worker compile a kernel that is cached, and the others wait for its machine code."""
+    from filelock import FileLock
+    from numba.core.dispatcher import Dispatcher
+
+    compile_at_once = Dispatcher.compile
+
+    def compile_once(self: Any, signature: Any) -> Any:
+        folder = self._cache.cache_path
+        if folder is None:
+            return compile_at_once(self, signature)
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        with FileLock(Path(folder) / f"{self.py_func.__qualname__}.lock", timeout=_LONGEST_COMPILATION):
+            return compile_at_once(self, signature)
+
+    Dispatcher.compile = compile_once
+    yield
+    Dispatcher.compile = compile_at_once
 
 
 def _ports_of(worker: str) -> Iterator[int]:
