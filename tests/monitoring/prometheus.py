@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import time
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator, Mapping
@@ -18,6 +19,7 @@ import yaml
 from tests.monitoring.files import ALERTS, CONFIGURATION
 
 ANSWER_SECONDS = 30.0
+START_SECONDS = 60.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,10 @@ class Prometheus:
 
 @contextmanager
 def running_prometheus(folder: Path, port: int, targets: Mapping[str, int]) -> Iterator[Prometheus]:
-    """Run Prometheus with the project's configuration, with ports of this machine as each job's target."""
+    """Run Prometheus with the project's configuration, with ports of this machine as each job's target.
+
+    It answers when this returns.
+    """
     configuration = yaml.safe_load(CONFIGURATION.read_text())
     configuration["global"] = {"scrape_interval": "1s", "evaluation_interval": "1s"}
     for job in configuration["scrape_configs"]:
@@ -66,8 +71,13 @@ def running_prometheus(folder: Path, port: int, targets: Mapping[str, int]) -> I
     ]
     with (folder / "prometheus.log").open("w") as log:
         process = subprocess.Popen(["prometheus", *arguments], stdout=log, stderr=log)
+    prometheus, deadline = Prometheus(port), time.monotonic() + START_SECONDS
     try:
-        yield Prometheus(port)
+        while not prometheus.ready():
+            assert process.poll() is None, (folder / "prometheus.log").read_text()
+            assert time.monotonic() < deadline, f"Prometheus does not answer after {START_SECONDS:.0f} s"
+            time.sleep(0.1)
+        yield prometheus
     finally:
         process.terminate()
         try:
