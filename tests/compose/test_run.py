@@ -10,6 +10,7 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.request import urlopen
@@ -49,6 +50,9 @@ NAMED_VOLUMES = {
         *(f"{role}-certificate" for role in ("learner", "actor", "evaluator", "viewer", "router")),
     )
 }
+
+SECONDS_OF_THE_REST = 60.0
+"""How long a resumed run lasts: longer than actors behind a router need to start, after two health checks."""
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -225,7 +229,17 @@ def test_run_goes_on_when_a_service_is_killed_by_its_host_pid(
     wait("more updates", lambda: run.status().get("updates", 0) > now["updates"], 120)
 
 
-def test_every_service_is_healthy(run: Containers) -> None:
+@pytest.fixture(scope="module")
+def rest(run: Containers) -> int:
+    """The decisions that a resumed run has to make to last so long; measured while the run trains."""
+    first, at = run.status()["environment_steps"], time.monotonic()
+    time.sleep(10)
+    made = run.status()["environment_steps"] - first
+    return int(SECONDS_OF_THE_REST * made / (time.monotonic() - at))
+
+
+def test_every_service_is_healthy(run: Containers, rest: int) -> None:
+    assert rest > 0
     checked = {service: run.of(service) for service in SERVICES}
     wait("health", lambda: {health(each) for each in checked.values()} == {"healthy"}, 120)
 
@@ -240,16 +254,16 @@ def test_down_loses_nothing_and_leaves_the_named_volumes(run: Containers, eviden
     nothing_is_lost_or_twice(run.copy_run(), evidence)
 
 
-def test_next_up_goes_on_and_all_end_with_the_run(run: Containers, evidence: Evidence) -> None:
+def test_next_up_goes_on_and_all_end_with_the_run(run: Containers, rest: int, evidence: Evidence) -> None:
     run.run("down")
     reached = environment_steps(run.copy_run())
     # All other settings are the run's own; planners of the default size would be refused.
-    run.environment["ATHRL_SET"] = f"run.environment_steps={reached + 600}"
+    run.environment["ATHRL_SET"] = f"run.environment_steps={reached + rest}"
     run.up()
     await_end(run)
     assert said(run.of("learner")).count("setting run.environment_steps was") == 1
     folder = run.copy_run()
-    assert environment_steps(folder) >= reached + 600
+    assert environment_steps(folder) >= reached + rest
     nothing_is_lost_or_twice(folder, evidence)
     assert {name_of(run.of(service)) for service in ACTORS} == {"actor-1", "actor-2"}
 
