@@ -64,7 +64,7 @@ lint: $(INSTALLED)
 	$(BIN)/mypy
 
 kernels: $(INSTALLED)
-	@$(BIN)/python deploy/warm_up.py
+	@$(BIN)/python -m tests.compile_kernels
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from athrl_driving.maps import load_town
 from athrl_driving.maps.lane_graph import LaneGraph, Signals
-from athrl_driving.perception import Perception, draw_images, drivable_grid, lidar_scan, new_perception
+from athrl_driving.perception import Perception, draw_image, drivable_grid, new_perception
 from athrl_driving.perception.drivable import draw_drivable_map
 from athrl_driving.route import Route
 from athrl_driving.traffic.state import Traffic, new_traffic
@@ -49,12 +49,16 @@ class Moment:
         return np.array([self.x, self.y, self.heading, 5.0, 4.9, 2.1, self.elevation, 1.0])
 
     def image(self) -> NDArray[np.uint8]:
-        images = np.full((1, self.size, self.size, 4), 77, np.uint8)
-        draw_images(self.perception, self.traffic, self.route.routes, self.ego[None], images)
-        return images[0]
+        return self._drawn()[0]
 
     def lidar(self) -> NDArray[np.float64]:
-        return lidar_scan(self.perception, self.traffic, 0, self.ego)
+        return self._drawn()[1]
+
+    def _drawn(self) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        image = np.full((self.size, self.size, 4), 77, np.uint8)
+        distances = np.empty(self.perception.ray_cosine.shape[0])
+        draw_image(self.perception, self.traffic, self.route.routes, 0, self.ego, image, distances)
+        return image, distances
 
 
 def traffic_of(**columns: NDArray) -> Traffic:

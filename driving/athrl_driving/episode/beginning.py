@@ -9,7 +9,7 @@ from athrl_driving.maps.geometry import lane_elevation, lane_pose
 from athrl_driving.metrics import NO_COLLISION, reset_metrics
 from athrl_driving.route import lanes_ahead, start_route
 from athrl_driving.traffic.ego_columns import X, Y
-from athrl_driving.traffic.spawn import place_with
+from athrl_driving.traffic.spawn import place
 
 CLEARANCE = 8.0
 """No vehicle's centre is within this distance (m) of the ego's when an episode begins."""
@@ -28,7 +28,7 @@ def begin(views: Views, settings: DriveSettings, progress: Progress, orders: Wor
     _clear_episode(progress, e)
     reset_metrics(views.metrics, 0.0, heading, start[3])
     ego, no_path = progress.ego[e], progress.path[e, :0]
-    orders.placed[e] = place_with(
+    orders.placed[e] = place(
         views.traffic, seeds[1:], orders.choices[e], no_path, ego[X], ego[Y], CLEARANCE, ego
     )
 

@@ -17,7 +17,7 @@ from athrl_driving.route import (
 )
 from athrl_driving.traffic.ego_columns import ELEVATION, HEADING, SPEED, X, Y
 from athrl_driving.traffic.signals import red_light
-from athrl_driving.traffic.tick import _advance as advance
+from athrl_driving.traffic.tick import advance
 
 
 @part

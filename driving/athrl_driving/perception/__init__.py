@@ -4,9 +4,8 @@ from athrl_driving.perception.drivable import DrivableMap, draw_drivable_map, dr
 from athrl_driving.perception.lidar import LIDAR_RANGE, RAYS
 from athrl_driving.perception.perception import (
     Perception,
-    draw_images,
+    draw_image,
     draw_surroundings,
-    lidar_scan,
     new_perception,
 )
 from athrl_driving.perception.window import EGO_ABOVE_LOWER_EDGE, WINDOW_SIDE
@@ -19,9 +18,8 @@ __all__ = [
     "DrivableMap",
     "Perception",
     "draw_drivable_map",
-    "draw_images",
+    "draw_image",
     "draw_surroundings",
     "drivable_grid",
-    "lidar_scan",
     "new_perception",
 ]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from athrl_driving.errors import DrivingError
-from athrl_driving.kernels.compilation import compiled, inlined
+from athrl_driving.kernels.by_reference import by_reference
+from athrl_driving.kernels.compilation import entry, inlined
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats
 from athrl_driving.perception.drivable import DrivableMap, drivable_grid
@@ -117,38 +118,19 @@ def draw_surroundings(
     draw_lidar(image, window, distances, perception.ray_cosine, perception.ray_sine)
 
 
-@compiled
-def draw_images(
-    perception: Perception, traffic: Traffic, routes: RouteState, egos: Floats, images: NDArray[np.uint8]
+@entry
+def draw_image(
+    perception: Perception,
+    traffic: Traffic,
+    routes: RouteState,
+    environment: int,
+    ego: Floats,
+    image: NDArray[np.uint8],
+    distances: Floats,
 ) -> None:
-    """Draw the images uint8 [E, size, size, 4] of E environments; `egos` is float64 [E, 8]."""
-    distances = np.empty(perception.ray_cosine.shape[0])
-    for e in range(images.shape[0]):
-        draw_surroundings(
-            perception,
-            environment_traffic(traffic, e),
-            environment_route(routes, e),
-            egos[e],
-            images[e],
-            distances,
-        )
-
-
-@compiled
-def lidar_scan(
-    perception: Perception, traffic: Traffic, environment: int, ego: Floats
-) -> NDArray[np.float64]:
-    """float64 [rays]: metres to the first vehicle in each direction, inf where none is within the range."""
-    window = Window(ego[X], ego[Y], math.cos(ego[HEADING]), math.sin(ego[HEADING]), 1.0, 0.0, 0.0)
-    distances = np.empty(perception.ray_cosine.shape[0])
-    measure_distances(
-        window,
-        ego[HEADING],
-        ego[ELEVATION],
-        perception.lidar_range,
-        perception.ray_cosine,
-        perception.ray_sine,
-        environment_traffic(traffic, environment).background,
-        distances,
+    """Draw the image of one environment, for calls from Python; see `draw_surroundings`."""
+    own_traffic = environment_traffic(by_reference(traffic), environment)
+    own_route = environment_route(by_reference(routes), environment)
+    draw_surroundings(
+        by_reference(perception), by_reference(own_traffic), by_reference(own_route), ego, image, distances
     )
-    return distances

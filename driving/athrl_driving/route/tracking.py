@@ -8,7 +8,8 @@ import numpy as np
 from numba import uint64
 from numpy.typing import NDArray
 
-from athrl_driving.kernels.compilation import compiled, inlined, inner
+from athrl_driving.kernels.by_reference import by_reference
+from athrl_driving.kernels.compilation import compiled, entry, inlined, inner
 from athrl_driving.maps.arcs import pose_on_arc
 from athrl_driving.maps.geometry import lane_pose, lane_project
 from athrl_driving.maps.lane_graph import Floats, Integers, LaneGraph
@@ -42,7 +43,7 @@ KNOWN_AT_LEAST = 80.0
 _BEFORE_FIRST_CHANGE = 5.0
 
 
-@compiled
+@entry
 def start_routes(
     graph: LaneGraph,
     routes: RouteState,
@@ -54,7 +55,8 @@ def start_routes(
     destination_s: float,
 ) -> None:
     """Start the route of one environment; see `start_route`."""
-    start_route(graph, environment_route(routes, environment), lane, s, seed, plan, destination_s)
+    route = by_reference(environment_route(by_reference(routes), environment))
+    start_route(by_reference(graph), route, lane, s, seed, plan, destination_s)
 
 
 @inner

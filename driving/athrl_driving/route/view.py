@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.kernels.compilation import compiled, prepare
+from athrl_driving.kernels.by_reference import by_reference
+from athrl_driving.kernels.compilation import compiled, entry, prepare
 from athrl_driving.maps.lane_graph import Integers, LaneGraph
 from athrl_driving.route.state import LENGTH, START_POSITION, RouteState, new_routes
 from athrl_driving.route.tracking import (
@@ -150,9 +151,9 @@ class Route:
         return int(self.routes.segment_count[self.environment])
 
 
-@compiled
+@entry
 def _follow(graph: LaneGraph, routes: RouteState, environment: int, x: float, y: float) -> None:
-    follow(graph, environment_route(routes, environment), x, y)
+    follow(by_reference(graph), by_reference(environment_route(by_reference(routes), environment)), x, y)
 
 
 @compiled

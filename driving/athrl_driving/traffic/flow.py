@@ -7,14 +7,17 @@ is the time that the driven metres would have taken at that speed, divided by th
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from athrl_driving.kernels.compilation import compiled, compiled_once, inner, prepare
+from athrl_driving.kernels.by_reference import by_reference
+from athrl_driving.kernels.compilation import compiled_once, entry, part, prepare
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.maps.levels import VEHICLE_LEVEL_HEIGHT
-from athrl_driving.traffic.columns import Background, Traffic
+from athrl_driving.traffic.columns import NONE, Background, Traffic
 from athrl_driving.traffic.ego_columns import EGO_SIZE
 from athrl_driving.traffic.spawn import place_vehicles
 from athrl_driving.traffic.state import environment_traffic, new_traffic
@@ -30,8 +33,6 @@ STUCK = 30.0
 """Seconds of standing after which a vehicle counts as stuck, where no light is red for it."""
 
 _COMPILE_SECONDS = 30
-_COUNTS = 2
-_SUMS = 4
 
 
 @dataclass(frozen=True)
@@ -63,20 +64,20 @@ def measure_flow(town: Town, vehicles: int, seed: int, minutes: float) -> Flow:
     traffic = new_traffic(town, 1, vehicles)
     place_vehicles(traffic, 0, np.random.default_rng(seed), None, 0.0, np.zeros(EGO_SIZE))
     ticks = round(60.0 * minutes / TICK)
-    standing, sums, counts = np.zeros(vehicles), np.zeros(_SUMS), np.zeros(_COUNTS, dtype=np.int64)
-    with compiled_once(drive_and_check, "the measurement of traffic", _COMPILE_SECONDS):
-        prepare(drive_and_check, traffic, ticks, standing, sums, counts)
-    drive_and_check(traffic, ticks, standing, sums, counts)
+    watch = _new_watch(vehicles)
+    with compiled_once(_drive_and_watch, "the measurement of traffic", _COMPILE_SECONDS):
+        prepare(_drive_and_watch, traffic, ticks, watch)
+    _drive_and_watch(traffic, ticks, watch)
     time = ticks * TICK * vehicles
-    driven, free_time, longest, stood = sums.tolist()
+    driven, free_time, longest, stood = watch.sums.tolist()
     return Flow(
         mean_speed=driven / time if time else 0.0,
         free_flow_speed=driven / free_time if free_time else 0.0,
         longest_standstill=longest,
         mean_standing=stood / time if time else 0.0,
-        colliding_pairs=int(counts[0]),
-        lane_changes=int(counts[1]),
-        stuck=int((standing > patience(town)).sum()),
+        colliding_pairs=int(watch.counts[0]),
+        lane_changes=int(watch.counts[1]),
+        stuck=int((watch.standing > patience(town)).sum()),
     )
 
 
@@ -87,27 +88,44 @@ def patience(town: Town) -> float:
     return STUCK + float((signals.cycle - green).max(initial=0.0))
 
 
-@compiled
-def drive(traffic: Traffic, ticks: int) -> None:
-    """Let environment 0 drive without an ego, for measuring how long it takes."""
-    view = environment_traffic(traffic, 0)
-    ego, path = np.zeros(EGO_SIZE), np.full(1, -1)
-    for _ in range(ticks):
-        advance(view, ego, path, TICK)
+class _Watch(NamedTuple):
+    """What is noted of N vehicles while they drive, and scratch space."""
+
+    standing: Floats
+    """[N], seconds for which a vehicle has stood."""
+    changing: NDArray[np.bool_]
+    """[N], whether it is changing lanes."""
+    sums: Floats
+    """m driven, s that they take in free flow, the longest standstill (s), s stood in all."""
+    counts: Integers
+    """Pairs that overlap, lane changes."""
+    corners: Floats
+    """[2, 4, 2], scratch."""
+    ego: Floats
+    """Absent."""
+    path: Integers
+    """The ego's path, empty."""
 
 
-@compiled
-def drive_and_check(traffic: Traffic, ticks: int, standing: Floats, sums: Floats, counts: Integers) -> None:
-    """Let environment 0 drive, and add up what happens in it.
+def _new_watch(vehicles: int) -> _Watch:
+    return _Watch(
+        standing=np.zeros(vehicles),
+        changing=np.zeros(vehicles, np.bool_),
+        sums=np.zeros(4),
+        counts=np.zeros(2, np.int64),
+        corners=np.zeros((2, 4, 2)),
+        ego=np.zeros(EGO_SIZE),
+        path=np.full(1, NONE),
+    )
 
-    `standing` [N] is how long each vehicle has stood. `sums`: m driven, s that they take in free flow, the
-    longest standstill (s), s stood in all. `counts`: pairs that overlap, lane changes.
-    """
-    view = environment_traffic(traffic, 0)
-    ego, path = np.zeros(EGO_SIZE), np.full(1, -1)
+
+@entry
+def _drive_and_watch(traffic: Traffic, ticks: int, watch: _Watch) -> None:
+    """Let environment 0 drive without an ego, and add up what happens in it."""
+    view = by_reference(environment_traffic(by_reference(traffic), 0))
     background, pace = view.background, view.lane_links.pace
+    standing, changing, sums, counts = watch.standing, watch.changing, watch.sums, watch.counts
     vehicles = background.speed.shape[0]
-    changing = np.zeros(vehicles, np.bool_)
     for _ in range(ticks):
         for vehicle in range(vehicles):
             # Traffic moves with the speed from before the tick.
@@ -117,21 +135,42 @@ def drive_and_check(traffic: Traffic, ticks: int, standing: Floats, sums: Floats
             standing[vehicle] = standing[vehicle] + TICK if speed < STANDING else 0.0
             sums[2] = max(sums[2], standing[vehicle])
             sums[3] += TICK if speed < STANDING else 0.0
-        advance(view, ego, path, TICK)
+        advance(view, watch.ego, watch.path, TICK)
         for vehicle in range(vehicles):
             now_changing = view.lane_changes.distance[vehicle] > 0.0
             counts[1] += now_changing and not changing[vehicle]
             changing[vehicle] = now_changing
-        counts[0] += overlapping_pairs(background)
+        counts[0] += _count_overlapping(background, watch.corners)
 
 
-@compiled
+def drive(traffic: Traffic, ticks: int) -> None:
+    """Let environment 0 drive without an ego, for measuring how long it takes."""
+    _drive(traffic, ticks, np.zeros(EGO_SIZE), np.full(1, NONE))
+
+
+@entry
+def _drive(traffic: Traffic, ticks: int, ego: Floats, path: Integers) -> None:
+    view = by_reference(environment_traffic(by_reference(traffic), 0))
+    for _ in range(ticks):
+        advance(view, ego, path, TICK)
+
+
 def overlapping_pairs(background: Background) -> int:
     """Count the pairs of an environment's view whose bodies overlap.
 
     Of two rectangles that overlap, one has a corner in the other or two of their edges cross. On purpose this
     is another test than the one that the simulation uses.
     """
+    return int(_overlapping_pairs(background, np.zeros((2, 4, 2))))
+
+
+@entry
+def _overlapping_pairs(background: Background, corners: Floats) -> int:
+    return _count_overlapping(by_reference(background), corners)
+
+
+@part
+def _count_overlapping(background: Background, corners: Floats) -> int:
     pairs = 0
     for i in range(background.x.shape[0]):
         for j in range(i):
@@ -140,26 +179,25 @@ def overlapping_pairs(background: Background) -> int:
                 abs(background.x[i] - background.x[j]) < reach
                 and abs(background.y[i] - background.y[j]) < reach
                 and abs(background.elevation[i] - background.elevation[j]) < VEHICLE_LEVEL_HEIGHT
-                and _overlap(_corners(background, i), _corners(background, j))
             ):
-                pairs += 1
+                _set_corners(background, i, corners[0])
+                _set_corners(background, j, corners[1])
+                pairs += _overlap(corners[0], corners[1])
     return pairs
 
 
-@inner
-def _corners(background: Background, vehicle: int) -> Floats:
-    """Return [4, 2] the corners of a vehicle's body."""
+@part
+def _set_corners(background: Background, vehicle: int, corners: Floats) -> None:
+    """Write the corners of a vehicle's body, [4, 2]."""
     cos, sin = math.cos(background.heading[vehicle]), math.sin(background.heading[vehicle])
-    corners = np.empty((4, 2))
     for index in range(4):
         along = 0.5 * background.length[vehicle] * (1.0 if index in (0, 1) else -1.0)
         across = 0.5 * background.width[vehicle] * (1.0 if index in (0, 3) else -1.0)
         corners[index, 0] = background.x[vehicle] + along * cos - across * sin
         corners[index, 1] = background.y[vehicle] + along * sin + across * cos
-    return corners
 
 
-@inner
+@part
 def _overlap(one: Floats, other: Floats) -> bool:
     """Tell whether two convex quadrilaterals [4, 2] overlap."""
     for i in range(4):
@@ -169,18 +207,18 @@ def _overlap(one: Floats, other: Floats) -> bool:
     return _inside(one, other[0]) or _inside(other, one[0])
 
 
-@inner
+@part
 def _side(a: Floats, b: Floats, point: Floats) -> float:
     return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])
 
 
-@inner
+@part
 def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> bool:
     """Tell whether the lines from a to b and from c to d cross; collinear lines do not."""
     return _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0
 
 
-@inner
+@part
 def _inside(corners: Floats, point: Floats) -> bool:
     """Tell whether a point lies in a convex quadrilateral."""
     least, greatest = math.inf, -math.inf

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from athrl_driving.errors import DrivingError
 from athrl_driving.kernels.by_reference import by_reference
-from athrl_driving.kernels.compilation import compiled, inner, part
+from athrl_driving.kernels.compilation import entry, part
 from athrl_driving.kernels.random_numbers import next_random
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.traffic.columns import NONE, Traffic
@@ -43,33 +43,33 @@ def place_vehicles(
     stop lines. Raises `ValueError` where the town has no room.
     """
     x, y = keep_clear_of if keep_clear_of is not None else (math.inf, math.inf)
-    seed = np_random.integers(2**63, dtype=np.uint64)
-    placed = _place_in_environment(traffic, e, seed, x, y, clearance, ego)
+    state = np_random.integers(2**63, size=1, dtype=np.uint64)
+    choices = np.empty(traffic.lane_links.start_link.shape[0], np.int64)
+    no_path = np.empty(0, np.int64)
+    placed = _place_in_environment(traffic, e, state, choices, no_path, x, y, clearance, ego)
     count = traffic.background.lane.shape[1]
     if placed < count:
         raise DrivingError(f"vehicles_count is {count}, but the town has room for {placed} at most")
 
 
-@compiled
+@entry
 def _place_in_environment(
-    traffic: Traffic, e: int, seed: np.uint64, x: float, y: float, clearance: float, ego: Floats
+    traffic: Traffic,
+    e: int,
+    state: Seeds,
+    choices: Integers,
+    no_path: Integers,
+    x: float,
+    y: float,
+    clearance: float,
+    ego: Floats,
 ) -> int:
-    return place(environment_traffic(traffic, e), seed, x, y, clearance, ego)
-
-
-@inner
-def place(traffic: Traffic, seed: np.uint64, x: float, y: float, clearance: float, ego: Floats) -> int:
-    """Place all vehicles of one environment's view and return how many found a place.
-
-    `seed` determines everything. No vehicle is placed within `clearance` metres of `x`, `y` (infinite: no
-    limit).
-    """
-    state, choices = np.full(1, seed, np.uint64), np.empty(traffic.lane_links.start_link.shape[0], np.int64)
-    return place_with(by_reference(traffic), state, choices, np.empty(0, np.int64), x, y, clearance, ego)
+    view = by_reference(environment_traffic(by_reference(traffic), e))
+    return place(view, state, choices, no_path, x, y, clearance, ego)
 
 
 @part
-def place_with(
+def place(
     traffic: Traffic,
     state: Seeds,
     choices: Integers,
@@ -79,9 +79,11 @@ def place_with(
     clearance: float,
     ego: Floats,
 ) -> int:
-    """Do what `place` does where no arrays can be allocated: `state` is uint64 [1], the seed.
+    """Place all vehicles of one environment's view and return how many found a place.
 
-    `choices`, int64 [starting places of `LaneLinks`], is scratch space; `no_path`, int64 [0], the ego's path.
+    The seed in `state`, uint64 [1], determines everything. No vehicle is placed within `clearance` metres of
+    `x`, `y` (infinite: no limit). `choices`, int64 [starting places of `LaneLinks`], is scratch space;
+    `no_path`, int64 [0], the ego's path.
     """
     for index in range(choices.shape[0]):
         choices[index] = index

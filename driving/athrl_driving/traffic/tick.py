@@ -8,7 +8,7 @@ state before the tick.
 import math
 
 from athrl_driving.kernels.by_reference import by_reference
-from athrl_driving.kernels.compilation import compiled, inner, part
+from athrl_driving.kernels.compilation import entry, part
 from athrl_driving.maps.lane_graph import Floats, Integers
 from athrl_driving.traffic.columns import NONE, Traffic
 from athrl_driving.traffic.crossing_order import distance_to_conflict_zone
@@ -36,24 +36,20 @@ CONFLICT_MARGIN = 0.3
 _LEAST_GAP = 1.0
 
 
-@compiled
+@entry
 def tick(traffic: Traffic, e: int, ego: Floats, ego_path: Integers, dt: float) -> None:
     """Advance environment `e`, for calls from Python; see `advance`."""
-    advance(environment_traffic(traffic, e), ego, ego_path, dt)
-
-
-@inner
-def advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> None:
-    """Move one environment's background vehicles by `dt` seconds; with 0 they only find leaders and lines.
-
-    `traffic` is a view without the environment axis. `ego` is float64 [8] (see `ego_columns`). `ego_path`
-    holds lanes of the lane graph that the ego will drive, its present one among the first, padded with -1.
-    """
-    _advance(by_reference(traffic), ego, ego_path, dt)
+    advance(by_reference(environment_traffic(by_reference(traffic), e)), ego, ego_path, dt)
 
 
 @part
-def _advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> None:
+def advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> None:
+    """Move one environment's background vehicles by `dt` seconds; with 0 they only find leaders and lines.
+
+    `traffic` is a view without the environment axis, by reference, and so is all that it holds: with one type
+    it is compiled once for all kernels. `ego` is float64 [8] (see `ego_columns`). `ego_path` holds lanes of
+    the lane graph that the ego will drive, its present one among the first, padded with -1.
+    """
     background, changes, covered = traffic.background, traffic.lane_changes, traffic.ego_on_links
     vehicles = background.lane.shape[0]
     present = ego[PRESENT] > 0.0
