@@ -25,8 +25,8 @@ def test_its_checker_accepts_the_default_town() -> None:
 
 def test_ppo_trains_on_image_and_motion() -> None:
     environment = gymnasium.make("athrl/Town03-v0", config={**FEW_VEHICLES, "image_size": 64})
-    model = PPO("MultiInputPolicy", environment, n_steps=64, batch_size=32, n_epochs=1, seed=1, device="cpu")
-    assert _weights_move(model, 128)
+    model = PPO("MultiInputPolicy", environment, n_steps=32, batch_size=32, n_epochs=1, seed=1, device="cpu")
+    assert _weights_move(model, 32)
     action, _ = model.predict(environment.reset(seed=3)[0], deterministic=True)
     assert environment.action_space.contains(action)
 
@@ -34,9 +34,16 @@ def test_ppo_trains_on_image_and_motion() -> None:
 def test_td3_trains_on_the_default_town_flattened() -> None:
     environment = FlattenObservation(gymnasium.make("athrl/Town03-v0", config=FEW_VEHICLES))
     model = TD3(
-        "MlpPolicy", environment, buffer_size=500, learning_starts=50, batch_size=16, seed=1, device="cpu"
+        "MlpPolicy",
+        environment,
+        policy_kwargs={"net_arch": [64]},
+        buffer_size=500,
+        learning_starts=50,
+        batch_size=16,
+        seed=1,
+        device="cpu",
     )
-    assert _weights_move(model, 100)
+    assert _weights_move(model, 60)
 
 
 @pytest.mark.parametrize("action", ["WaypointSetAction", "DirectAction"])
