@@ -7,7 +7,7 @@ not import torch: the command reads run files without it.
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from athrl_spaces import Noise, Sampled
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -17,6 +17,10 @@ class PlannerSettings(BaseModel):
     """Networks and training of a planner; unknown keys and wrong types are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    kept_by_a_run: ClassVar[frozenset[str]] = frozenset({"value_min", "value_max"})
+    """Settings that a resumed run must keep, though all sizes fit: with others what its networks have learned
+    or its experience would mean something else."""
 
     # networks
     encoder: Literal["small", "paper"] = Field(

@@ -31,6 +31,8 @@ PROGRESS = ("collision", "speed", "fast", "out", "constant")
 class AtHRLSettings(ActorCriticSettings):
     """atHRL: intention planner over trajectory planner."""
 
+    kept_by_a_run = ActorCriticSettings.kept_by_a_run | {"intention_every"}
+
     intention_gradient: float = Field(
         default=1.0,
         ge=0,

@@ -14,7 +14,11 @@ from athrl_protocol.delivery.ledger import Ledger
 from athrl_learner import factories
 from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent
 from athrl_learner.checkpoint.checkpointer import Checkpointer
-from athrl_learner.checkpoint.compatibility import changed_settings, require_same_policy
+from athrl_learner.checkpoint.compatibility import (
+    changed_settings,
+    require_same_meaning,
+    require_same_policy,
+)
 from athrl_learner.checkpoint.recovery import LaterExperience
 from athrl_learner.checkpoint.snapshot import restore_snapshot
 from athrl_learner.errors import SettingsDoNotFit
@@ -139,6 +143,7 @@ def make_components(
     arrivals = Arrivals()
     agent = factories.make_agent(run_file)
     require_same_policy(folder, content, agent.description, run_file)
+    require_same_meaning(folder, content, agent.settings.kept_by_a_run, run_file)
     experience = factories.make_log(run_file, folder.experience)
     stack.callback(experience.close)
     warn = disk_warnings()

@@ -55,6 +55,16 @@ def test_run_whose_level_was_paid_otherwise_is_refused(run_file, stopped):
 
 
 @pytest.mark.parametrize("checkpoints", ["there", "removed"])
+@pytest.mark.parametrize(("key", "value"), [("value_max", 30.0), ("intention_every", 2)])
+def test_settings_that_give_what_was_learned_a_meaning_are_kept(run_file, stopped, key, value, checkpoints):
+    folder = run_learner(run_file, stop=stopped).folder
+    if checkpoints == "removed":
+        shutil.rmtree(folder / "checkpoints")
+    line = refusal(with_planner(run_file, **{key: value}), folder, stopped)
+    assert line.endswith(f"; planner.{key} was {run_file.planner.values()[key]} and is {value}")
+
+
+@pytest.mark.parametrize("checkpoints", ["there", "removed"])
 def test_run_of_another_planner_is_refused_by_both_kinds(run_file, stopped, checkpoints):
     folder = run_learner(run_file, stop=stopped).folder
     if checkpoints == "removed":

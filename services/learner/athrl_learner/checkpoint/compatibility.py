@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import Any
 
@@ -50,10 +50,24 @@ def require_same_policy(
         raise SettingsDoNotFit(what, changed_settings(folder, content, run_file) or difference)
 
 
+def require_same_meaning(
+    folder: RunFolder, content: CheckpointContent | None, kept: Set[str], run_file: RunFile
+) -> None:
+    """Refuse to resume a run with another value of a planner's setting that a run keeps.
+
+    Raises:
+        SettingsDoNotFit: one line with the old and the new value; nothing was changed.
+    """
+    before, now = _settings_of(folder, content).get("planner", {}), run_file.planner.values()
+    for key in sorted(kept & before.keys()):
+        if now[key] != before[key]:
+            what = f"the run in {folder.path}"
+            raise SettingsDoNotFit(what, f"planner.{key} was {before[key]!r} and is {now[key]!r}")
+
+
 def changed_settings(folder: RunFolder, content: CheckpointContent | None, run_file: RunFile) -> str:
     """Settings of planner and experience that have changed, as text; empty if none has."""
-    before = content.state["run_file"] if content is not None else _settings_before(folder.run_toml)
-    now = run_file.model_dump()
+    before, now = _settings_of(folder, content), run_file.model_dump()
     return ", ".join(
         f"{section}.{key} was {was!r} and is {now[section][key]!r}"
         for section in SECTIONS_THAT_SHAPE
@@ -78,9 +92,12 @@ def _metadata(artefact: Path) -> str:
     return {entry.key: entry.value for entry in model.metadata_props}.get(METADATA_KEY, "")
 
 
-def _settings_before(run_toml: Path) -> dict[str, Any]:
+def _settings_of(folder: RunFolder, content: CheckpointContent | None) -> dict[str, Any]:
+    """The settings of the checkpoint, or else of the run file in the folder; empty if it cannot be read."""
+    if content is not None:
+        return dict(content.state["run_file"])
     try:
-        return read_document(run_toml)
+        return read_document(folder.run_toml)
     except RunFileError:
         return {}
 
