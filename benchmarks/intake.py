@@ -11,49 +11,23 @@ import argparse
 import contextlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from athrl.ports import free_address
 from athrl.runs import declare_installed_planners
 from athrl_learner import factories
 from athrl_learner.components import make_experience
 from athrl_learner.intake.arrivals import Arrivals
-from athrl_learner.intake.store import ExperienceStore
 from athrl_protocol import ChunkIntake, RunFile, open_session, read_run_file, serve_run_file
 
 from benchmarks.light_actor import RUN, STEPS
+from benchmarks.light_actors import light_actors, wait_until_filled
 from benchmarks.router import KINDS, standing_before
 
 _PATIENCE = 60.0
-_FILLED_WITHIN = 120.0
-
-
-@contextlib.contextmanager
-def light_actors(address: str, count: int) -> Iterator[list[dict[str, Any]]]:
-    """Run actors as separate processes; their reports are in the list afterwards."""
-    command = [sys.executable, "-m", "benchmarks.light_actor", address]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    actors = [subprocess.Popen([*command, f"actor-{number}"], **pipes) for number in range(count)]
-    try:
-        for actor in actors:
-            if actor.stdout.readline() != b"ready\n":
-                sys.exit("an actor could not be started")
-        reports: list[dict[str, Any]] = []
-        yield reports
-        for actor in actors:
-            actor.stdin.close()
-        reports += [json.loads(actor.stdout.readline()) for actor in actors]
-    finally:
-        for actor in actors:
-            actor.stdin.close()
-        for actor in actors:
-            actor.wait(_PATIENCE)
 
 
 def rate(run_file: RunFile, actors: int, seconds: float, folder: Path, through: str) -> dict[str, float]:
@@ -69,9 +43,8 @@ def rate(run_file: RunFile, actors: int, seconds: float, folder: Path, through: 
         ChunkIntake(session, RUN, store) as intake,
         standing_before(listen, through, RUN) as address,
     ):
-        with light_actors(address, actors) as reports:
-            # The replay's memory is touched for the first time until it is full, which costs more.
-            fill(store)
+        with light_actors([address] * actors) as reports:
+            wait_until_filled(store)
             before, began, busy = store.environment_steps, time.perf_counter(), time.process_time()
             written = store.log.size_bytes
             time.sleep(seconds)
@@ -90,15 +63,6 @@ def rate(run_file: RunFile, actors: int, seconds: float, folder: Path, through: 
         "actors_microseconds": 1e6 * actors_busy / steps,
         "log_mebibytes_per_second": written / 2**20 / elapsed,
     }
-
-
-def fill(store: ExperienceStore) -> None:
-    """Wait until the replay is full."""
-    deadline = time.monotonic() + _FILLED_WITHIN
-    while store.replay.sequences < store.replay.slots:
-        if time.monotonic() > deadline:
-            sys.exit(f"the replay was not full within {_FILLED_WITHIN:g} s")
-        time.sleep(0.1)
 
 
 def main() -> None:

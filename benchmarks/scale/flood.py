@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from athrl_learner import factories
 from athrl_learner.components import make_experience
 from athrl_learner.intake.arrivals import Arrivals
-from athrl_learner.intake.store import ExperienceStore
 from athrl_protocol import ChunkIntake, RunFile, open_session, serve_run_file
 
 from benchmarks.light_actor import RUN
+from benchmarks.light_actors import light_actors, wait_until_filled
 from benchmarks.scale.processes import PATIENCE, reading, router
 from benchmarks.scale.racks import Rack
 
 WAYS = ("directly", "one router", "two layers of routers")
 _PORT, _MIDDLE_PORT, _RACK_PORT = 17_447, 17_448, 17_449
-_FILLED_WITHIN = 240.0
 
 
 @dataclass(frozen=True)
@@ -49,33 +46,6 @@ class Flooded:
     bytes_a_decision: float
 
 
-@contextlib.contextmanager
-def sending(places: Sequence[tuple[Rack, str]], steps: int) -> Iterator[list[dict[str, Any]]]:
-    """Run a light actor at each place, a rack and an address; their reports are in the list afterwards."""
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    program = [sys.executable, "-m", "benchmarks.light_actor"]
-    actors = [
-        subprocess.Popen([*rack.within, *program, address, f"actor-{number}", str(steps)], **pipes)
-        for number, (rack, address) in enumerate(places)
-    ]
-    try:
-        if not all(actor.stdout.readline() == b"ready\n" for actor in actors):
-            sys.exit("an actor could not be started: see the error above")
-        reports: list[dict[str, Any]] = []
-        yield reports
-        for actor in actors:
-            actor.stdin.close()
-        reports += [json.loads(actor.stdout.readline()) for actor in actors]
-    finally:
-        for actor in actors:
-            actor.stdin.close()
-        for actor in actors:
-            try:
-                actor.wait(PATIENCE)
-            except subprocess.TimeoutExpired:
-                actor.kill()
-
-
 def flood(
     way: str, run_file: RunFile, racks: Sequence[Rack], actors: int, seconds: float, folder: Path
 ) -> Flooded:
@@ -93,9 +63,13 @@ def flood(
         ExitStack() as stack,
     ):
         middle, addresses = _routers(way, racks, folder, stack)
-        places = [(racks[number % len(racks)], addresses[number % len(racks)]) for number in range(actors)]
-        with sending(places, run_file.replay.sequence_length) as reports:
-            _fill(store)
+        chosen = [number % len(racks) for number in range(actors)]
+        with light_actors(
+            [addresses[number] for number in chosen],
+            run_file.replay.sequence_length,
+            [racks[number].within for number in chosen],
+        ) as reports:
+            wait_until_filled(store)
             before = store.environment_steps, time.perf_counter(), time.process_time()
             came, passed = _came(racks), reading(middle).cpu if middle else 0.0
             time.sleep(seconds)
@@ -130,12 +104,3 @@ def _routers(
 
 def _came(racks: Sequence[Rack]) -> int:
     return sum(rack.bytes_received() for rack in racks)
-
-
-def _fill(store: ExperienceStore) -> None:
-    """Wait until the replay is full; until then its memory is touched for the first time, which costs."""
-    deadline = time.monotonic() + _FILLED_WITHIN
-    while store.replay.sequences < store.replay.slots:
-        if time.monotonic() > deadline:
-            sys.exit(f"the replay was not full within {_FILLED_WITHIN:g} s")
-        time.sleep(0.1)
