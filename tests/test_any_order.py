@@ -11,7 +11,7 @@ pytestmark = pytest.mark.timeout(600)
 
 ROUNDS = 10
 EVERYDAY = (0, 7)
-"""Rounds of `make test`: begun with the router and with a client; nearly all other tests begin with a learner."""
+"""Rounds of `make test`: begun with the router and with a client; most other tests begin with a learner."""
 START_SECONDS = 200.0
 DRAIN_SECONDS = 100.0
 """A machine at work with other things takes half a minute for an import alone."""
