@@ -25,7 +25,7 @@ def torch_left_as_it_was() -> Iterator[None]:
     """Serial runs in this process change torch for the whole of it."""
     threads = torch.get_num_threads()
     yield
-    torch.use_deterministic_algorithms(False)
+    torch.set_deterministic_debug_mode("default")
     torch.set_num_threads(threads)
 
 

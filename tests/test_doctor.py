@@ -50,18 +50,14 @@ def test_sound_installation_passes_and_loses_nothing(doctor) -> None:
         assert of(report, check)["level"] in ("ok", "warning")
 
 
-def test_port_in_use_is_named_with_what_to_do(doctor, port: int) -> None:
+def test_port_in_use_and_replay_beyond_the_memory_are_named_with_what_to_do(doctor, port: int) -> None:
     with socket.create_server(("127.0.0.1", port)):
-        code, report = doctor()
+        code, report = doctor("--set", "replay.capacity=10000000000")
     assert code == 1
+    assert report["failed"] == 2
     assert of(report, "port")["level"] == "failed"
     assert f"127.0.0.1:{port} is in use" in of(report, "port")["seen"]
     assert of(report, "port")["remedy"]
-
-
-def test_replay_beyond_the_memory_is_named(doctor) -> None:
-    code, report = doctor("--set", "replay.capacity=10000000000")
-    assert code == 1
     assert of(report, "memory")["level"] == "failed"
     assert "replay.capacity" in of(report, "memory")["remedy"]
 

@@ -66,51 +66,22 @@ def has_updated(more_than: int) -> Callable[[RunSnapshot], bool]:
     return lambda run: run.state is not None and run.state.updates > more_than
 
 
-def test_interrupted_run_leaves_a_checkpoint_and_goes_on(
+LONG = ("--actors", "1", "--viewer-port", "0", "--set", "run.environment_steps=1000000")
+
+
+def test_interrupted_run_goes_on_and_what_is_killed_in_it_is_started_again(
     command, seen, tiny: list[str], port: int, tmp_path: Path
 ) -> None:
-    arguments = [
-        "--name",
-        "long",
-        "--actors",
-        "1",
-        "--viewer-port",
-        "0",
-        "--set",
-        "run.environment_steps=1000000",
-    ]
-    address = f"tcp/127.0.0.1:{port}"
+    address, folder = f"tcp/127.0.0.1:{port}", tmp_path / "runs" / "long"
 
-    first = command.start("train", *tiny, *arguments)
+    first = command.start("train", *tiny, *LONG, "--name", "long")
     seen(address, "long", has_updated(20), START_SECONDS)
     first.send_signal(signal.SIGINT)
     assert first.wait(timeout=90) == 130, command.said(first)
     assert "--resume" in command.said(first)
-    assert checkpoints(tmp_path / "runs" / "long")
+    assert checkpoints(folder)
     assert not command.left()
-    reached = json.loads((tmp_path / "runs" / "long" / "policies" / "latest.json").read_text())
-
-    second = command.start("train", "--resume", "long", "--actors", "1", "--viewer-port", "0")
-    seen(address, "long", has_updated(reached["updates"]), START_SECONDS)
-    result = command.run("status", "--connect", address, "--run", "long", "--json", seconds=60)
-    assert json.loads(result.stdout)["environment_steps"] >= reached["environment_steps"]
-    second.send_signal(signal.SIGTERM)
-    assert second.wait(timeout=90) == 130, command.said(second)
-    assert not command.left()
-
-
-def test_killed_actor_and_killed_learner_are_started_again(command, seen, tiny: list[str], port: int) -> None:
-    arguments = [
-        "--name",
-        "hit",
-        "--actors",
-        "1",
-        "--viewer-port",
-        "0",
-        "--set",
-        "run.environment_steps=1000000",
-    ]
-    address = f"tcp/127.0.0.1:{port}"
+    reached = json.loads((folder / "policies" / "latest.json").read_text())
 
     def kill(service: str) -> None:
         for process in command.left():
@@ -119,23 +90,25 @@ def test_killed_actor_and_killed_learner_are_started_again(command, seen, tiny: 
                 return
         raise AssertionError(f"no {service} is running")
 
-    run = command.start("train", *tiny, *arguments)
-    seen(address, "hit", has_updated(20), START_SECONDS)
+    second = command.start("train", "--resume", "long", "--actors", "1", "--viewer-port", "0")
+    seen(address, "long", has_updated(reached["updates"]), START_SECONDS)
+    result = command.run("status", "--connect", address, "--run", "long", "--json", seconds=60)
+    assert json.loads(result.stdout)["environment_steps"] >= reached["environment_steps"]
     kill("actor")
-    command.wait_until_said(run, "actor-1 was ended by signal 9", 30)
-    seen(address, "hit", lambda now: ("actor", "actor-1") in now.metrics, START_SECONDS)
+    command.wait_until_said(second, "actor-1 was ended by signal 9", 30)
+    seen(address, "long", lambda now: ("actor", "actor-1") in now.metrics, START_SECONDS)
     # So that it resumes from there.
-    seen(address, "hit", lambda now: now.learner_metric("checkpoints_written"), START_SECONDS)
+    seen(address, "long", lambda now: now.learner_metric("checkpoints_written"), START_SECONDS)
     kill("learner")
-    command.wait_until_said(run, "learner was ended by signal 9", 30)
-    seen(address, "hit", has_updated(20), START_SECONDS)
-    run.send_signal(signal.SIGINT)
-    assert run.wait(timeout=90) == 130, command.said(run)
+    command.wait_until_said(second, "learner was ended by signal 9", 30)
+    seen(address, "long", has_updated(reached["updates"] + 20), START_SECONDS)
+    second.send_signal(signal.SIGTERM)
+    assert second.wait(timeout=90) == 130, command.said(second)
+    assert not command.left()
 
 
 def test_no_process_outlives_a_killed_command(command, seen, eventually, tiny: list[str], port: int) -> None:
-    arguments = ["--name", "orphans", "--actors", "1", "--viewer-port", "0"]
-    run = command.start("train", *tiny, *arguments, "--set", "run.environment_steps=1000000")
+    run = command.start("train", *tiny, *LONG, "--name", "orphans")
     address = f"tcp/127.0.0.1:{port}"
     seen(address, "orphans", lambda now: ("evaluator", "evaluator") in now.present, START_SECONDS)
     run.kill()

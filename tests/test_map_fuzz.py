@@ -22,11 +22,12 @@ from benchmarks.fuzz_maps.drive import NonsenseError, Roads
 ROOT = Path(__file__).parents[1]
 
 
-def test_generated_and_damaged_maps_drive_or_are_refused(tmp_path: Path) -> None:
-    outcome = batches.drive_on_maps(range(200), seed=1, jobs=2, folder=tmp_path)
+@pytest.mark.parametrize("maps", [50, pytest.param(200, marks=pytest.mark.slow)])
+def test_generated_and_damaged_maps_drive_or_are_refused(tmp_path: Path, maps: int) -> None:
+    outcome = batches.drive_on_maps(range(maps), seed=1, jobs=2, folder=tmp_path)
     assert not outcome.holes, outcome.examples
-    assert outcome.accepted > 60
-    assert outcome.refused.total() > 30
+    assert outcome.accepted > 0.3 * maps
+    assert outcome.refused.total() > 0.15 * maps
     assert not list(tmp_path.iterdir())
 
 

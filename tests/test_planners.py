@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 import shutil
@@ -11,13 +10,17 @@ from pathlib import Path
 
 import pytest
 from athrl_driving.policy import OnnxPolicy
+from filelock import FileLock
 
+from tests.conftest import Command
 from tests.serial_runs import drive_serially, everything, require_equal, torch_left_as_it_was
 
 pytestmark = pytest.mark.timeout(300)
 
+Trained = Callable[[str], tuple[Path, str]]
+
 SECONDS = 200.0
-DECISIONS, LONGER = 2000, 2400
+DECISIONS, LONGER = 1500, 1800
 
 # Each with a part that the others leave out: memory, a random policy, an update rule, priorities.
 PLANNERS: dict[str, dict[str, object]] = {
@@ -50,29 +53,47 @@ SERIAL: dict[str, object] = {
 }
 
 
-@pytest.fixture(scope="module")
-def trained(shared_command, another_tiny) -> Callable[[str], tuple[Path, str]]:
-    """Gives the folder of a whole run of a kind of planner, and what the run printed; each is run once."""
+@pytest.fixture(scope="session")
+def trained(worker_id: str, tmp_path_factory: pytest.TempPathFactory, another_tiny) -> Trained:
+    """Gives the folder of a whole run of a kind of planner, and what the run printed.
 
-    @functools.cache
+    Each is run once, whichever of the processes that run tests asks first; tests only read it.
+    """
+    own = tmp_path_factory.getbasetemp()
+    common = (own if worker_id == "master" else own.parent) / "planners"
+    common.mkdir(exist_ok=True)
+
     def train(kind: str) -> tuple[Path, str]:
-        settings = another_tiny(
-            {
-                "planner.kind": kind,
-                "run.environment_steps": DECISIONS,
-                "learner.samples_per_insert": 1.0,
-                "actor.environments": 8,
-                **PLANNERS[kind],
-            }
-        )
-        words = ["--name", kind, "--viewer-port", "0"]
-        result = shared_command.run("train", *settings, *words, seconds=SECONDS)
+        printed = common / f"{kind}.txt"
+        with FileLock(common / f"{kind}.lock", timeout=SECONDS):
+            if not printed.exists():
+                printed.write_text(run_to_its_end(common, kind, another_tiny))
+        return common / "runs" / kind, printed.read_text()
+
+    return train
+
+
+def run_to_its_end(folder: Path, kind: str, another_tiny) -> str:
+    """Train a planner, compare it, and return what was printed."""
+    settings = another_tiny(
+        {
+            "planner.kind": kind,
+            "run.environment_steps": DECISIONS,
+            "learner.samples_per_insert": 1.0,
+            "actor.environments": 8,
+            **PLANNERS[kind],
+        }
+    )
+    command = Command(folder)
+    try:
+        result = command.run("train", *settings, "--name", kind, "--viewer-port", "0", seconds=SECONDS)
         assert result.returncode == 0, result.stderr
         assert "was ended" not in result.stdout + result.stderr
         assert "ended with code" not in result.stdout + result.stderr
-        return shared_command.folder / "runs" / kind, result.stdout
-
-    return train
+        assert not command.left()
+    finally:
+        command.end_all()
+    return result.stdout
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -85,9 +106,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("kind", PLANNERS)
-def test_planner_is_trained_compared_and_resumed_through_the_services(
-    shared_command, trained, kind: str
-) -> None:
+def test_planner_is_trained_and_compared_through_the_services(trained: Trained, kind: str) -> None:
     folder, printed = trained(kind)
     for driver in ("policy", "random", "blind", "rule-based"):
         assert driver in printed
@@ -97,23 +116,30 @@ def test_planner_is_trained_compared_and_resumed_through_the_services(
     comparison = json.loads((folder / "evaluation.json").read_text())
     assert comparison["environment_steps"] >= DECISIONS
     assert set(comparison["drivers"]) == {"policy", "random", "blind", "rule-based"}
-    reached = json.loads((folder / "policies" / "latest.json").read_text())
-    assert reached["updates"] > 20
+    assert json.loads((folder / "policies" / "latest.json").read_text())["updates"] > 20
 
+
+@pytest.mark.parametrize(
+    "kind", ["athrl", *(pytest.param(kind, marks=pytest.mark.slow) for kind in PLANNERS if kind != "athrl")]
+)
+def test_planner_is_resumed_through_the_services(command, trained: Trained, kind: str) -> None:
+    folder = command.folder / "runs" / kind
+    shutil.copytree(trained(kind)[0], folder)
+    reached = json.loads((folder / "policies" / "latest.json").read_text())
     longer = ["--resume", kind, "--set", f"run.environment_steps={LONGER}", "--viewer-port", "0"]
-    resumed = shared_command.run("train", *longer, seconds=SECONDS)
+    resumed = command.run("train", *longer, seconds=SECONDS)
     assert resumed.returncode == 0, resumed.stderr
     assert "rule-based" in resumed.stdout
     assert json.loads((folder / "evaluation.json").read_text())["environment_steps"] >= LONGER
     assert json.loads((folder / "policies" / "latest.json").read_text())["updates"] > reached["updates"]
-    assert not shared_command.left()
+    assert not command.left()
 
 
 @pytest.mark.parametrize(
     ("kind", "forced"), [("athrl", "intention=0"), ("ddpg", "steering=0"), ("hdqn", "behaviour=2")]
 )
 def test_decision_is_forced_on_a_policy_that_makes_it(
-    shared_command, trained, kind: str, forced: str
+    shared_command, trained: Trained, kind: str, forced: str
 ) -> None:
     policy = trained(kind)[0] / "policies" / "latest.onnx"
     few = ["--episodes", "2", "--set", "environment.episode_ticks=40", "--set", "environment.vehicles=0"]
@@ -125,7 +151,7 @@ def test_decision_is_forced_on_a_policy_that_makes_it(
 
 @pytest.mark.parametrize("forced", ["intention=0", "target_speed=100", "target_speed", "waypoint_angle=left"])
 def test_decision_that_a_policy_does_not_make_is_refused_in_one_line(
-    shared_command, trained, forced: str
+    shared_command, trained: Trained, forced: str
 ) -> None:
     policy = trained("hddpg")[0] / "policies" / "latest.onnx"
     words = ["evaluate", "--policy", str(policy), "--force", forced, "--episodes", "2", "--json"]
@@ -137,7 +163,7 @@ def test_decision_that_a_policy_does_not_make_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("service", ["train", "learner"])
-def test_run_is_resumed_as_its_own_planner_alone(shared_command, trained, service: str) -> None:
+def test_run_is_resumed_as_its_own_planner_alone(shared_command, trained: Trained, service: str) -> None:
     folder, _ = trained("hddpg")
     before = contents(folder)
     words = [service, "--resume", str(folder), "--set", "planner.kind=ddpg"]
@@ -150,7 +176,7 @@ def test_run_is_resumed_as_its_own_planner_alone(shared_command, trained, servic
 
 
 def test_checkpoint_of_another_planner_is_refused_and_nothing_is_written(
-    shared_command, trained, another_tiny
+    shared_command, trained: Trained
 ) -> None:
     folder = shared_command.folder / "runs" / "swapped"
     shutil.copytree(trained("hddpg")[0], folder)

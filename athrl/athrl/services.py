@@ -93,6 +93,9 @@ def learner(
     secure = certificates is not None or bool(run_settings.network.certificates)
     with stop_on_signal(within=CHECKPOINT_SECONDS) as stop, logged_refusals(secure):
         with needs("learner"):
+            from athrl_learner.run_settings import checked_settings
+        checked_settings(run_settings, folder)  # wrong ones are refused before torch is imported
+        with needs("learner"):
             from athrl_learner import check_run, run_learner
         if check:
             print(check_run(run_settings, resume=folder))

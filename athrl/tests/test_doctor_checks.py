@@ -218,6 +218,12 @@ def test_delivery_trial_loses_nothing(tmp_path: Path) -> None:
     assert len(numbered_segments(tmp_path)) >= 2, "the receiver was killed and started again"
 
 
+def test_receiver_of_the_trial_loads_no_torch() -> None:
+    program = "import sys, athrl.doctor.light_learner; print('torch' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=200)
+    assert result.stdout.strip() == "False", result.stderr
+
+
 def test_count_finds_what_is_missing_and_what_is_there_twice(tmp_path: Path) -> None:
     log = SegmentLog(tmp_path, segment_bytes=2**20, fsync="never")
     for number in (0, 1, 1, 3):

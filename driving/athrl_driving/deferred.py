@@ -4,9 +4,10 @@ highway-env imports pandas and matplotlib's plots for the tables and plots of it
 its import time, one second of a core, and 75 MiB of every process. numba imports scipy's linear algebra with
 its first kernel, to find out whether it is installed: a quarter of a second. Here each of them is loaded when
 an attribute of it is first used, and need not be installed until then: images for actors leave pandas and
-matplotlib out. importlib's lazy modules load at any attribute access, and importing a
-submodule of a package is one, so packages are deferred in another way. This module has to be imported before
-others that import highway-env or use numba; modules that are already imported stay as they are.
+matplotlib out. importlib's lazy modules load at any attribute access. Importing a submodule of a package is
+one, and so is a look at a module's file, which `inspect` takes at every module while torch is imported: so
+modules are deferred in another way. This module has to be imported before others that import highway-env or
+use numba; modules that are already imported stay as they are.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
-from importlib.util import LazyLoader
 from types import ModuleType
 from typing import Any
 
@@ -31,7 +31,7 @@ NOT_NEEDED = frozenset({"pandas", "matplotlib", "matplotlib.pyplot"})
 
 
 class _Unloaded(ModuleType):
-    """A package in `sys.modules` that is loaded when an attribute is used that it does not have yet."""
+    """A module in `sys.modules` that is loaded when an attribute is used that it does not have yet."""
 
     def __getattr__(self, name: str) -> Any:
         with _loading:
@@ -46,18 +46,18 @@ class _Unloaded(ModuleType):
 _loading = threading.RLock()
 
 
-class _LaterPackage(Loader):
-    """Creates a package without executing it; its own loader executes it later."""
+class _Later(Loader):
+    """Creates a module without executing it; its own loader executes it later."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Create the module as the package's own loader does."""
+        """Create the module as its own loader does."""
         return self._loader.create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
-        """Restore the package's own loader, which executes it later."""
+        """Restore the module's own loader, which executes it later."""
         assert module.__spec__ is not None
         module.__loader__ = module.__spec__.loader = self._loader
         module.__class__ = _Unloaded
@@ -96,7 +96,7 @@ class _Deferring(MetaPathFinder):
         if spec is None and fullname in NOT_NEEDED:
             return ModuleSpec(fullname, _Missing(), is_package=fullname in PACKAGES)
         if spec is not None and spec.loader is not None:
-            spec.loader = _LaterPackage(spec.loader) if fullname in PACKAGES else LazyLoader(spec.loader)
+            spec.loader = _Later(spec.loader)
         return spec
 
 

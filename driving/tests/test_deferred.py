@@ -32,6 +32,16 @@ def test_driving_a_batch_with_a_policys_runner_loads_no_tables_plots_or_linear_a
     assert run(drives + TELL) == ["False", "False", "False"]
 
 
+def test_a_look_at_every_modules_file_loads_none() -> None:
+    """Which `inspect` takes while torch is imported."""
+    looks = (
+        "import athrl_driving.maps\n"
+        "deferred = [sys.modules[name] for name in ('pandas', 'matplotlib', 'matplotlib.pyplot')]\n"
+        "print(all(hasattr(module, '__file__') for module in deferred))\n"
+    )
+    assert run(looks + TELL) == ["True", "False", "False", "False"]
+
+
 def test_tables_are_loaded_when_used() -> None:
     looks = (
         "import athrl_driving.maps, gymnasium\n"

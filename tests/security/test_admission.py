@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import datetime
 import os
+import shutil
 import socket
 import subprocess
 import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import zenoh
@@ -22,14 +25,40 @@ SECONDS = 200.0
 PATIENCE = 30.0
 
 
+@pytest.fixture(scope="module")
+def watched_folder(_authorities: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The certificates of the run that several tests look at."""
+    return Path(shutil.copytree(_authorities["ours"], tmp_path_factory.mktemp("watched") / "ours"))
+
+
+@pytest.fixture(scope="module")
+def watched(shared_command, another_tiny, free_port: Callable[[], int], watched_folder: Path):
+    """`athrl learner` as a process, which knows services by certificates and logs who connects; its port."""
+    port = free_port()
+    words = another_tiny({"network.listen": f"tcp/127.0.0.1:{port}", "run.name": "guarded"})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ATHRL_LOG", "debug")
+        process = shared_command.start("learner", *words, "--certificates", str(watched_folder))
+    shared_command.wait_until_said(process, "listens at", SECONDS)
+    return process, port
+
+
+class Watched(NamedTuple):
+    """The learner that several tests look at, as one of them sees it."""
+
+    port: int
+    ours: Path
+    said: Callable[[], str]
+    """What it has said since the test began."""
+
+
 @pytest.fixture
-def learner_process(command, tiny: list[str], port: int, ours: Path, monkeypatch: pytest.MonkeyPatch):
-    """`athrl learner` as a process, which knows services by certificates and logs who connects."""
-    monkeypatch.setenv("ATHRL_LOG", "debug")
-    process = command.start("learner", *tiny, "--set", "run.name=guarded", "--certificates", str(ours))
-    command.wait_until_said(process, "listens at", SECONDS)
-    yield process
-    assert process.poll() is None, command.said(process)
+def learner_process(shared_command, watched, watched_folder: Path) -> Iterator[Watched]:
+    """The learner that all these tests share, which survives each of them."""
+    process, port = watched
+    before = len(shared_command.said(process))
+    yield Watched(port, watched_folder, lambda: shared_command.said(process)[before:])
+    assert process.poll() is None, shared_command.said(process)
 
 
 def one_line(result: subprocess.CompletedProcess[str], *words: str) -> None:
@@ -45,13 +74,15 @@ def status(command, port: int, *certificates: str, protocol: str = "tls") -> sub
     return command.run("status", "--connect", address, "--json", *certificates, seconds=SECONDS)
 
 
-def test_learner_names_the_address_at_which_it_really_listens(command, learner_process, port: int) -> None:
-    assert f"listens at tls/127.0.0.1:{port}" in command.said(learner_process)
+def test_learner_names_the_address_at_which_it_really_listens(shared_command, watched) -> None:
+    process, port = watched
+    assert f"listens at tls/127.0.0.1:{port}" in shared_command.said(process)
 
 
 def test_only_the_authoritys_certificates_get_in(
-    command, learner_process, port: int, ours: Path, foreign: Path
+    command, learner_process: Watched, foreign: Path, eventually
 ) -> None:
+    port, ours, said = learner_process
     one_line(
         status(command, port, "--certificates", str(foreign)),
         "its certificate is not good",
@@ -59,55 +90,51 @@ def test_only_the_authoritys_certificates_get_in(
     )
     one_line(status(command, port, protocol="tcp"), "asks for a certificate", "--certificates")
     one_line(status(command, port), "needs certificates", "--certificates")
-    said = command.said(learner_process)
-    assert said.count("a connection was refused") >= 2, said
+    assert said().count("a connection was refused") >= 2, said()
 
     admitted = status(command, port, "--certificates", str(ours))
     assert admitted.returncode == 0, admitted.stderr
     alone = status(command, port, "--certificates", str(ours / "viewer"))
     assert alone.returncode == 0, alone.stderr
     connected = "athrl_protocol.connections connected with the certificate 'viewer'"
-    command.wait_until_said(learner_process, connected, SECONDS)
+    eventually(lambda: connected in said(), SECONDS)
 
 
 def test_each_container_can_ask_whether_it_takes_part_with_its_own_certificate(
-    command, learner_process, port: int, ours: Path
+    command, learner_process: Watched
 ) -> None:
+    port, ours, said = learner_process
     address = ["--connect", f"127.0.0.1:{port}"]
     for role in ("learner", "actor", "evaluator"):
         asked = ["status", *address, "--check", "learner", "--certificates", str(ours / role)]
         result = command.run(*asked, seconds=SECONDS)
         assert result.returncode == 0, result.stderr
-    assert "not allowed" not in command.said(learner_process)
+    assert "not allowed" not in said()
 
 
-def test_denied_deed_is_in_the_learners_log(
-    command, learner_process, port: int, ours: Path, eventually
-) -> None:
+def test_denied_deed_is_in_the_learners_log(learner_process: Watched, eventually) -> None:
+    port, ours, said = learner_process
     with open_session(
         connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="actor", certificates=ours
     ) as session:
         session.put("athrl/guarded/policy", b"forged")
         eventually(
-            lambda: (
-                "not allowed: Put on 'athrl/guarded/policy' with the certificate 'actor'"
-                in command.said(learner_process)
-            ),
+            lambda: "not allowed: Put on 'athrl/guarded/policy' with the certificate 'actor'" in said(),
             SECONDS,
         )
         session.put("athrl/guarded/metrics/actor/rig", b"0" * 1_000_000)
         eventually(
             lambda: (
-                "too large: Put on 'athrl/guarded/metrics/actor/rig' with the certificate 'actor'"
-                in command.said(learner_process)
+                "too large: Put on 'athrl/guarded/metrics/actor/rig' with the certificate 'actor'" in said()
             ),
             SECONDS,
         )
 
 
 def test_certificate_without_a_role_may_do_nothing(
-    command, learner_process, port: int, ours: Path, tmp_path: Path
+    command, learner_process: Watched, tmp_path: Path, eventually
 ) -> None:
+    port, ours, said = learner_process
     stranger = tmp_path / "stranger"
     authority: Identity = _load_authority(ours)
     _write_role(stranger, _new_role(authority, "stranger", [], days=1), authority)
@@ -118,8 +145,8 @@ def test_certificate_without_a_role_may_do_nothing(
             fetch_run_file(session, "guarded", timeout=2.0)
         received_keys: list[str] = []
         session.declare_subscriber("athrl/**", lambda sample: received_keys.append(str(sample.key_expr)))
-        command.wait_until_said(learner_process, "'stranger' from", SECONDS)
-        command.wait_until_said(learner_process, "has no role in this run", SECONDS)
+        eventually(lambda: "'stranger' from" in said(), SECONDS)
+        eventually(lambda: "has no role in this run" in said(), SECONDS)
         # The learner has published its state in this time.
         admitted = status(command, port, "--certificates", str(ours))
         assert admitted.returncode == 0, admitted.stderr
@@ -184,7 +211,8 @@ def test_run_is_not_begun_with_the_certificate_of_a_single_role(command, tiny: l
     assert not list(command.folder.rglob("run.toml"))
 
 
-def test_who_may_not_see_all_of_a_run_is_told_so(command, learner_process, port: int, ours: Path) -> None:
+def test_who_may_not_see_all_of_a_run_is_told_so(command, learner_process: Watched) -> None:
+    port, ours, _ = learner_process
     for role in ("actor", "evaluator"):
         result = status(command, port, "--certificates", str(ours / role))
         assert result.returncode == 0

@@ -47,7 +47,7 @@ def run_serial(
 ) -> bool:
     """Start or resume a run, until it is finished and compared; return whether it is.
 
-    Calls `torch.use_deterministic_algorithms` and `torch.set_num_threads` for the whole process.
+    Calls `torch.set_deterministic_debug_mode` and `torch.set_num_threads` for the whole process.
 
     Args:
         settings: settings of the run.
@@ -163,7 +163,8 @@ def _make_torch_deterministic(settings: RunFile) -> None:
     # Both are read at the first use of the libraries: the order of sums must not depend on alignment.
     os.environ.setdefault("MKL_CBWR", "AUTO")
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
-    torch.use_deterministic_algorithms(True)
+    # As use_deterministic_algorithms does, which also loads torch's compiler: four seconds of a core.
+    torch.set_deterministic_debug_mode("error")
     # One thread by default: sums depend on the number of threads, and the machine should not matter.
     keep_freed_memory()
 

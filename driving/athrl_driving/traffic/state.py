@@ -23,7 +23,8 @@ from athrl_driving.traffic.lane_links import LaneLinks, build_lane_links
 EGO_PATH_LENGTH = 64
 """Links of the ego's path that are considered."""
 
-_LINKS_OF_TOWNS: dict[int, tuple[Town, LaneLinks, ConflictZones]] = {}
+_LINKS_OF_TOWNS: dict[int, tuple[Town, LaneLinks]] = {}
+_ZONES_OF_TOWNS: dict[int, ConflictZones] = {}
 
 __all__ = [
     "NONE",
@@ -70,15 +71,25 @@ def new_traffic(
 
 def starting_places(town: Town) -> int:
     """Return the number of places of a town where background vehicles may start."""
-    lane_links, _ = _links_of(town)
-    return len(lane_links.start_link)
+    return len(_lane_links_of(town).start_link)
 
 
 def _links_of(town: Town) -> tuple[LaneLinks, ConflictZones]:
-    """Return what is built once a town; the town is kept with it, so that its id is not used again."""
+    """Return what is built once a town."""
+    links = _lane_links_of(town)
+    if id(town) not in _ZONES_OF_TOWNS:
+        _ZONES_OF_TOWNS[id(town)] = conflict_zones_of(town)
+    return links, _ZONES_OF_TOWNS[id(town)]
+
+
+def _lane_links_of(town: Town) -> LaneLinks:
+    """Return the links of a town, built once; the town is kept with them, so that its id is not used again.
+
+    Whoever only asks how many vehicles fit needs no conflict zones, the first thing that calls a kernel.
+    """
     if id(town) not in _LINKS_OF_TOWNS:
-        _LINKS_OF_TOWNS[id(town)] = town, build_lane_links(town), conflict_zones_of(town)
-    return _LINKS_OF_TOWNS[id(town)][1:]
+        _LINKS_OF_TOWNS[id(town)] = town, build_lane_links(town)
+    return _LINKS_OF_TOWNS[id(town)][1]
 
 
 def _new_background(shape: tuple[int, int], length: float, width: float) -> Background:

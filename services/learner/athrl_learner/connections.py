@@ -28,9 +28,7 @@ from athrl_learner.reporting.exposition import Exposition
 from athrl_learner.reporting.metrics import LearnerMetrics
 from athrl_learner.reporting.progress import ProgressLog
 from athrl_learner.reporting.reporter import Reporter
-
-#: The learner's role and name: a run has one learner.
-NAME = "learner"
+from athrl_learner.run_settings import NAME
 
 
 @dataclass(frozen=True)

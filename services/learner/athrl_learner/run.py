@@ -16,29 +16,23 @@ from athrl_protocol import (
     PolicyUpdate,
     RunFile,
     announce_presence,
-    complete_address,
     open_session,
-    read_run_file,
     serve_run_file,
 )
 from athrl_protocol.announcements.address_file import address_announced, address_at
 from athrl_protocol.announcements.answers import serve_changes
-from athrl_protocol.run_file import with_whole_maps
-from athrl_protocol.security.certificates import find_certificates
-from athrl_protocol.transport.address import is_loopback, split_address
 from athrl_protocol.transport.size_filter import largest_chunk_of
 
 from athrl_learner.checkpoint.resume import checkpoint_to_resume
 from athrl_learner.checkpoint.snapshot import saved_version
 from athrl_learner.components import check_new_run, make_components
-from athrl_learner.connections import NAME, connect
-from athrl_learner.errors import CannotResume
+from athrl_learner.connections import connect
 from athrl_learner.learner import Learner
-from athrl_learner.planner_tables import declare_installed_planners, with_planner_settings
 from athrl_learner.publication import recorded_version
 from athrl_learner.reporting.exposition import open_exposition
 from athrl_learner.run_changes import replace_settings
 from athrl_learner.run_folder import RunFolder
+from athrl_learner.run_settings import NAME, checked_settings
 from athrl_learner.training.device import log_device, training_device
 from athrl_learner.training.memory import keep_freed_memory
 
@@ -171,16 +165,9 @@ def _to_nobody(update: PolicyUpdate) -> None:
 
 def _checked(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path, str]:
     """The settings, the folder and the complete address of a run, checked before anything is written."""
-    run_file, path = _settings_and_folder(run_file, resume)
-    if run_file.serial.enabled:
-        raise CannotResume(f"{path} is a serial run, which has no separate learner: athrl train --serial")
-    shown = find_certificates(run_file.network.certificates, NAME)
-    if shown is not None:
-        shown.check_may_serve(NAME)
-    elif resume is not None:
-        _require_encryption_as_before(resume, run_file)
+    run_file, path, address = checked_settings(run_file, resume)
     training_device(run_file)
-    return run_file, path, complete_address(run_file.network.listen, secure=shown is not None)
+    return run_file, path, address
 
 
 @contextlib.contextmanager
@@ -197,29 +184,7 @@ def frozen_garbage_collector() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _require_encryption_as_before(folder: Path, run_file: RunFile) -> None:
-    """Refuse to resume a run that had certificates without them, where others than this machine reach it."""
-    host, _ = split_address(complete_address(run_file.network.listen))
-    if not is_loopback(host):
-        complete_address(read_run_file(folder / "run.toml", complete=True).network.listen)
-
-
 def _with_address(run_file: RunFile, address: str) -> RunFile:
     """The run file as it is stored: `tls/...` says that the run cannot be resumed without certificates."""
     network = run_file.network.model_copy(update={"listen": address})
     return run_file.model_copy(update={"network": network})
-
-
-def _settings_and_folder(run_file: RunFile | None, resume: Path | None) -> tuple[RunFile, Path]:
-    """The settings and the folder of the run."""
-    declare_installed_planners()
-    if resume is not None:
-        if not (resume / "run.toml").is_file():
-            raise CannotResume(f"{resume} holds no run to resume: it has no run.toml")
-        if run_file is None:
-            return with_whole_maps(read_run_file(resume / "run.toml", complete=True)), resume
-        return with_whole_maps(with_planner_settings(run_file)), resume
-    if run_file is None:
-        raise ValueError("run_learner needs a run file, or a run to resume")
-    folder = Path(run_file.run.folder) / run_file.run.name
-    return with_whole_maps(with_planner_settings(run_file)), folder

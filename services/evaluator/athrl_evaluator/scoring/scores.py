@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 
 @dataclass(frozen=True)
@@ -78,4 +77,6 @@ def score(results: Sequence[EpisodeResult]) -> Scores:
 
 def student_quantile(degrees: int) -> float:
     """The 97.5 % quantile of Student's t distribution for 1 or more degrees of freedom."""
+    from scipy.special import stdtrit  # here, because it takes a quarter of a second that most do not need
+
     return float(stdtrit(degrees, 0.975))
