@@ -37,20 +37,22 @@ def long_run(run_file: RunFile) -> RunFile:
 
 
 def slowly(make_chunk, make_actor, actors: int):
-    """Actors that make thirty chunks a second, and hold half of them back until the learner waits for them."""
+    """Actors that make thirty chunks a second, and hold half of them back until the learner waits."""
     crew = []
     numbers = itertools.count()
+    first_report = []
 
     def the_learner_has_waited() -> bool:
-        reports = [report.values for actor in crew for report in list(actor.metrics)]
+        reports = [report.values for report in crew[0].metrics[first_report[0] :]]
         return any(
-            values.get("waiting/learner", 0.0) > WAITING and values["environment_steps"] >= STEPS / 2
+            values.get("waiting/learner", 0.0) > WAITING and values["environment_steps"] > WARM_UP
             for values in reports
         )
 
     def make(**fields: object):
         time.sleep(actors / 30)
         if next(numbers) * LENGTH >= STEPS / 2:
+            first_report.append(len(crew[0].metrics) + 1)  # that is about nothing before
             crew[0].wait_for(the_learner_has_waited)
         return make_chunk(**fields)
 
