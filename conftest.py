@@ -16,9 +16,12 @@ Ports are below the range out of which the system gives ports to outgoing connec
 one twice: nobody else gets a port between the moment when it is found free and the moment when the test's
 process listens at it, which may be a minute later.
 
+A test's collection of garbage need not look at the millions of objects that came with the packages and tests.
+
 Workers that reach the same kernel at the same time would all compile it: one does, the others load its code.
 """
 
+import gc
 import itertools
 import os
 import random
@@ -40,6 +43,11 @@ _PORTS_A_PROCESS = 1_000
 
 _LONGEST_COMPILATION = 280.0
 """Seconds; less than a test may take."""
+
+
+def pytest_collection_finish() -> None:
+    """Leave all that is there before the first test out of collections of garbage."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

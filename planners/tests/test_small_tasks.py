@@ -20,16 +20,16 @@ Arrays = dict[str, np.ndarray]
 Explore = Callable[[np.random.Generator], tuple[Arrays, Arrays]]
 
 SETTINGS = {
-    "hidden_features": 32,
+    "hidden_features": 16,
     "head_features": 32,
     "recurrent_features": 16,
     "discount": 0.5,
-    "n_step": 2,
+    "n_step": 1,
     "reward_scale": 1.0,
     "value_min": -1.0,
     "value_max": 3.0,
-    "atoms": 41,
-    "learning_rate": 3e-3,
+    "atoms": 21,
+    "learning_rate": 5e-3,
     "average_decay": 0.95,
 }
 
@@ -79,7 +79,7 @@ def explored(level: LevelDescription, random: np.random.Generator) -> tuple[np.n
             chosen = random.random(ROWS) < 0.2
             forced[chosen, column] = random.integers(len(action.choices), size=int(chosen.sum()))
         elif not isinstance(action.exploration, Sampled):
-            noise[:, column] *= 0.3 * action.half_range
+            noise[:, column] *= 0.5 * action.half_range
     return noise.astype(np.float32), forced.astype(np.float32)
 
 
@@ -161,7 +161,7 @@ def learn(kind: str, settings: dict[str, Any], once: bool, enough: float, seed: 
     for number in range(1, 101):
         drive.episode(explored, replay)
         for _ in range(8):
-            agent.update(replay.sample(96))
+            agent.update(replay.sample(144))
         if number % 5 == 0:
             mean_return = float(np.mean([drive.episode() for _ in range(8)]))
             if mean_return > enough:

@@ -25,7 +25,6 @@ from athrl_protocol.messages import athrl_pb2
 from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as some
-from hypothesis.extra import numpy as arrays
 
 COMPRESSIONS: tuple[Compression, ...] = ("zstd", "lz4", "none")
 _finite = some.floats(-1e6, 1e6, width=32)
@@ -40,8 +39,12 @@ def chunks(draw: some.DrawFn) -> Chunk:
     time = interval * sequences
     height, width, channels, motion = (draw(some.integers(1, 6)) for _ in range(4))
 
+    random = np.random.default_rng(draw(some.integers(0, 2**32 - 1)))
+    same = draw(some.booleans())  # as most images and many numbers are, which compresses well
+
     def floats(*shape: int) -> np.ndarray:
-        return draw(arrays.arrays(np.float32, shape, elements=_finite))
+        values = random.integers(2**32, size=shape, dtype=np.uint32).view(np.float32)
+        return np.full(shape, draw(_finite), np.float32) if same else np.where(np.isfinite(values), values, 0)
 
     names = draw(
         some.lists(some.sampled_from(["intention", "trajectory", "single"]), min_size=1, unique=True)
@@ -63,10 +66,10 @@ def chunks(draw: some.DrawFn) -> Chunk:
         first_step=draw(some.integers(0, 2**32 - 1)),
         length=draw(some.integers(time - interval + 1, time)),
         state_interval=interval,
-        images=draw(arrays.arrays(np.uint8, (time + 1, height, width, channels))),
+        images=random.integers(1 if same else 256, size=(time + 1, height, width, channels), dtype=np.uint8),
         motion=floats(time + 1, motion),
         levels=levels,
-        policy_version=draw(arrays.arrays(np.int64, time, elements=some.integers(0, 2**63 - 1))),
+        policy_version=random.integers(2**63 - 1, size=time, endpoint=True),
         terminated=draw(some.booleans()),
         truncated=draw(some.booleans()),
     )

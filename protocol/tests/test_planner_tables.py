@@ -279,6 +279,14 @@ def test_table_that_cannot_be_declared_leaves_the_declared_ones(
     assert list(declared_planners()) == list(KINDS)
 
 
+def test_tables_that_are_declared_again_stay_what_they_were() -> None:
+    declare_planners(KINDS)
+    before = declared_planners()
+    declare_planners({})
+    declare_planners(before)
+    assert declared_planners() == before
+
+
 def test_planners_own_table_is_not_changed_by_being_declared() -> None:
     declare_planners(KINDS)
     assert Walker(legs="3").legs == 3  # type: ignore[arg-type]  # as lenient as it was

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import weakref
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,6 +25,9 @@ DEFAULT_KIND = "athrl"
 _KIND = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
 
 _declared: dict[str, type[BaseModel]] = {}
+
+_ready: weakref.WeakSet[type[BaseModel]] = weakref.WeakSet()
+"""The tables that have got their checks; declared again, they need no others."""
 
 
 def declare_planners(tables: Mapping[str, type[BaseModel]]) -> None:
@@ -101,6 +105,8 @@ def _checked(kind: str, table: type[BaseModel]) -> type[BaseModel]:
     """The table, with the checks of every section."""
     if _KIND.fullmatch(kind) is None:
         raise ValueError(f"a kind of planner is {kind!r}: should be letters, digits, '.', '_' and '-'")
+    if table in _ready:
+        return table
     for key, field in table.model_fields.items():
         if key == "kind":
             raise ValueError(f"the planner {kind} has a setting 'kind', which names the planner itself")
@@ -111,6 +117,7 @@ def _checked(kind: str, table: type[BaseModel]) -> type[BaseModel]:
     for key, value in held().model_dump().items():
         if not isinstance(value, bool | int | float | str | list):
             raise ValueError(f"the planner {kind} has {key} = {value!r:.60}, for which TOML has no value")
+    _ready.add(held)
     return held
 
 

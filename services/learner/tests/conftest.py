@@ -66,6 +66,16 @@ SETTINGS = (
 )
 
 
+@pytest.fixture(scope="session")
+def run_file_in(free_address: Callable[[], str]) -> Callable[[Path], RunFile]:
+    """The small run in a folder, at an address of its own."""
+
+    def make(folder: Path) -> RunFile:
+        return read_run_file(None, [*SETTINGS, f"run.folder={folder}", f"network.listen={free_address()}"])
+
+    return make
+
+
 @pytest.fixture
 def run_file(tmp_path: Path, address: str) -> RunFile:
     return read_run_file(None, [*SETTINGS, f"run.folder={tmp_path}", f"network.listen={address}"])

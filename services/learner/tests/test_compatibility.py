@@ -3,12 +3,13 @@
 import hashlib
 import shutil
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from athrl_learner import CannotResume, run_learner
 from athrl_learner.errors import LearnerError
-from athrl_protocol import RunFile, read_run_file
+from athrl_protocol import RunFile, read_run_file, to_toml
 from athrl_protocol.run_file import PlannerSection, declare_planners, declared_planners
 
 
@@ -17,6 +18,23 @@ def stopped() -> threading.Event:
     stop = threading.Event()
     stop.set()
     return stop
+
+
+@pytest.fixture(scope="module")
+def never_trained(tmp_path_factory: pytest.TempPathFactory, run_file_in: Callable[[Path], RunFile]) -> Path:
+    """The folder of a run that was stopped before any experience came."""
+    stop = threading.Event()
+    stop.set()
+    return run_learner(run_file_in(tmp_path_factory.mktemp("runs")), stop=stop).folder
+
+
+@pytest.fixture
+def folder(never_trained: Path, run_file: RunFile) -> Path:
+    """A run's folder, for each test its own, whose settings are those of `run_file`."""
+    copied = Path(run_file.run.folder) / run_file.run.name
+    shutil.copytree(never_trained, copied)
+    (copied / "run.toml").write_text(to_toml(run_file))
+    return copied
 
 
 def with_planner(run_file: RunFile, **values: object) -> RunFile:
@@ -41,23 +59,22 @@ def refusal(settings: RunFile, folder: Path, stopped: threading.Event) -> str:
 
 
 @pytest.mark.parametrize("key", ["recurrent_features", "hidden_features", "head_features"])
-def test_setting_that_the_checkpoint_does_not_fit_is_named_with_both_values(run_file, stopped, key):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_setting_that_the_checkpoint_does_not_fit_is_named_with_both_values(run_file, folder, stopped, key):
     before = run_file.planner.values()[key]
     line = refusal(with_planner(run_file, **{key: before + 4}), folder, stopped)
     assert line.endswith(f"; planner.{key} was {before} and is {before + 4}")
 
 
-def test_run_whose_level_was_paid_otherwise_is_refused(run_file, stopped):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_run_whose_level_was_paid_otherwise_is_refused(run_file, folder, stopped):
     other = with_planner(run_file, intention_reward="progress", intention_target="experience")
     assert "planner.intention_reward was 'task' and is 'progress'" in refusal(other, folder, stopped)
 
 
 @pytest.mark.parametrize("checkpoints", ["there", "removed"])
 @pytest.mark.parametrize(("key", "value"), [("value_max", 30.0), ("intention_every", 2)])
-def test_settings_that_give_what_was_learned_a_meaning_are_kept(run_file, stopped, key, value, checkpoints):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_settings_that_give_what_was_learned_a_meaning_are_kept(
+    run_file, folder, stopped, key, value, checkpoints
+):
     if checkpoints == "removed":
         shutil.rmtree(folder / "checkpoints")
     line = refusal(with_planner(run_file, **{key: value}), folder, stopped)
@@ -65,8 +82,7 @@ def test_settings_that_give_what_was_learned_a_meaning_are_kept(run_file, stoppe
 
 
 @pytest.mark.parametrize("checkpoints", ["there", "removed"])
-def test_run_of_another_planner_is_refused_by_both_kinds(run_file, stopped, checkpoints):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_run_of_another_planner_is_refused_by_both_kinds(run_file, folder, stopped, checkpoints):
     if checkpoints == "removed":
         shutil.rmtree(folder / "checkpoints")
     other = run_file.model_copy(update={"planner": PlannerSection.model_validate({"kind": "hdqn"})})
@@ -75,8 +91,7 @@ def test_run_of_another_planner_is_refused_by_both_kinds(run_file, stopped, chec
     assert "it was trained as athrl, planner.kind is hdqn" in line
 
 
-def test_run_of_another_planner_is_refused_though_its_run_file_was_changed(run_file, stopped):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_run_of_another_planner_is_refused_though_its_run_file_was_changed(run_file, folder, stopped):
     path = folder / "run.toml"
     lines = path.read_text().splitlines()
     begin = lines.index("[planner]")
@@ -99,8 +114,9 @@ def _table(kind: str) -> list[str]:
 @pytest.mark.parametrize(
     ("key", "value"), [("image_size", 24), ("maximum_speed", 5.0), ("waypoint_half_angle", 20.0)]
 )
-def test_other_sizes_or_ranges_are_refused_by_their_settings(run_file, stopped, key, value, checkpoints):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_other_sizes_or_ranges_are_refused_by_their_settings(
+    run_file, folder, stopped, key, value, checkpoints
+):
     if checkpoints == "removed":
         shutil.rmtree(folder / "checkpoints")
     was = getattr(run_file.environment, key)
@@ -109,8 +125,7 @@ def test_other_sizes_or_ranges_are_refused_by_their_settings(run_file, stopped, 
     assert line.endswith(f"; environment.{key} was {was!r} and is {value!r}")
 
 
-def test_exploration_may_change(run_file, stopped):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_exploration_may_change(run_file, folder, stopped):
     assert run_learner(with_planner(run_file, noise_high=0.6), resume=folder, stop=stopped).updates == 0
 
 
@@ -140,8 +155,7 @@ def test_planner_that_does_not_exist_is_refused_though_none_were_declared(run_fi
     assert not list(tmp_path.iterdir())
 
 
-def test_planners_are_known_to_whoever_resumes_without_declaring_any(run_file, stopped):
-    folder = run_learner(run_file, stop=stopped).folder
+def test_planners_are_known_to_whoever_resumes_without_declaring_any(run_file, folder, stopped):
     known = declared_planners()
     declare_planners({})
     try:

@@ -3,8 +3,7 @@
 import functools
 import json
 import logging
-import subprocess
-import sys
+import multiprocessing
 import threading
 import time
 from collections.abc import Iterator
@@ -109,11 +108,11 @@ def test_a_stopped_run_goes_on_where_it_was(run_file, fake_actor):
 
 
 RUN = """
-import sys, threading
+import threading
 from pathlib import Path
 from athrl_learner import run_learner
 from athrl_protocol import read_run_file
-run_file = read_run_file(sys.argv[1])
+run_file = read_run_file(path)
 folder = Path(run_file.run.folder) / run_file.run.name
 resume = folder if (folder / "run.toml").exists() else None
 run_learner(None if resume else run_file, resume=resume, stop=threading.Event())
@@ -124,11 +123,16 @@ run_learner(None if resume else run_file, resume=resume, stop=threading.Event())
 def killed_in_the_end(run_file: RunFile, path: Path) -> Iterator[None]:
     """A learner in a separate process, which resumes an existing run, until it is killed."""
     path.write_text(to_toml(run_file))
-    with subprocess.Popen([sys.executable, "-c", RUN, str(path)]) as process:
-        try:
-            yield
-        finally:
-            process.kill()
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["athrl_learner"])  # loaded once, not for each learner
+    process = context.Process(target=exec, args=(RUN, {"path": path}))
+    process.start()
+    try:
+        yield
+    finally:
+        process.kill()
+        process.join()
+        process.close()
 
 
 @pytest.mark.parametrize(("checkpoint_seconds", "fsync"), [(0.2, "acknowledgement"), (1000.0, "never")])
@@ -168,7 +172,8 @@ def test_a_damaged_checkpoint_costs_training_but_no_experience(run_file, fake_ac
             stopped: Summary = running.result(timeout=60)
         newest = max(checkpoints.glob("checkpoint-??????"))
         (newest / "agent.pt").write_bytes(b"")
-        with learner(None, resume=folder_of(run_file)) as (running, _):
+        goes_on = changed(run_file, "run", environment_steps=stopped.environment_steps + 100)
+        with learner(goes_on, resume=folder_of(run_file)) as (running, _):
             resumed: Summary = running.result(timeout=120)
     assert f"{newest / 'agent.pt'} is damaged" in caplog.text
     assert resumed.finished

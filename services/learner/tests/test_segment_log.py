@@ -113,6 +113,23 @@ def test_a_flipped_bit_costs_one_record_and_is_named(tmp_path_factory, place, bi
     assert str(path) in str(damage)
 
 
+def test_no_flipped_bit_of_a_header_costs_a_record(tmp_path):
+    log = make_log(tmp_path, segment_bytes=10_000)
+    expected = [body(number) for number in range(8)]
+    for content in expected:
+        log.append(Kind.CHUNK, content)
+    log.close()
+    (path,) = tmp_path.iterdir()
+    whole = path.read_bytes()
+    for bit in range(8 * SEGMENT_HEADER_BYTES):
+        flipped = bytearray(whole)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        bodies, (damage,) = read(tmp_path)
+        assert bodies == expected, bit
+        assert (damage.start, damage.path) == (0, path), bit
+
+
 def fill(log: SegmentLog, appended: list[bytes], size: int = 20) -> None:
     """Append as long as the log permits."""
     while True:
