@@ -25,7 +25,6 @@ import gc
 import itertools
 import os
 import random
-import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -36,7 +35,7 @@ os.putenv("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("MKL_CBWR", "AUTO")
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
-import athrl  # noqa: F401
+from athrl.ports import is_free
 
 _FIRST_PORT, _LAST_PORT = 12_000, 32_000
 _PORTS_A_PROCESS = 1_000
@@ -56,7 +55,7 @@ def free_port(worker_id: str) -> Callable[[], int]:
     ports = _ports_of(worker_id)
 
     def free() -> int:
-        return next(port for port in ports if _is_free(port))
+        return next(port for port in ports if is_free(port))
 
     return free
 
@@ -106,13 +105,3 @@ def _ports_of(worker: str) -> Iterator[int]:
     first = _FIRST_PORT + number * _PORTS_A_PROCESS % (_LAST_PORT - _FIRST_PORT)
     start = random.SystemRandom().randrange(_PORTS_A_PROCESS)
     return (first + (start + step) % _PORTS_A_PROCESS for step in itertools.count())
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-    return True
