@@ -60,7 +60,8 @@ def test_nothing_is_lost_or_stored_twice_under_faults(command, tmp_path: Path) -
     assert not command.left()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+# Both raise the same exception in it, and each costs the start of six processes.
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_interrupted_fault_injection_leaves_no_process(command, tmp_path: Path, eventually, number) -> None:
     chaos = begin(command, tmp_path / "chaos", seed=1, minutes=5.0)
     command.started.append(chaos)

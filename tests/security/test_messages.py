@@ -96,7 +96,7 @@ class HonestActor:
         random = np.random.default_rng(0)
         while not self._leave.is_set():
             self._uploader.submit(fitting_chunk(random), timeout=0.5)
-            self._leave.wait(0.02)
+            self._leave.wait(0.1)
 
     def leave(self) -> None:
         self._leave.set()
@@ -206,10 +206,10 @@ def test_hostile_messages_are_counted_by_reason_and_sender_and_training_goes_on(
             == athrl_pb2.Refusal.INVALID
         )
     # What is larger than any message of this run is dropped by Zenoh: there is no answer.
-    gigabyte = bytes(2**30)
+    too_large = bytes(2**26)
     answers = hostile.get(
         "athrl/guarded/experience/hostile",
-        payload=gigabyte,
+        payload=too_large,
         timeout=1.0,
         congestion_control=zenoh.CongestionControl.BLOCK,
     )
