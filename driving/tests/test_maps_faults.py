@@ -246,6 +246,23 @@ def test_lanes_meet_beside_a_corner_of_the_reference_line(tmp_path: Path) -> Non
     require_that_lanes_meet(town)
 
 
+def with_corner(degrees: float) -> str:
+    """A ring whose first road goes round a corner: there and back again on the sides of a triangle."""
+    angle = 0.5 * math.radians(degrees)
+    half = 100.0 / math.cos(angle)
+    plan = geometry(0, 0, 0, angle, half) + geometry(half, 100.0, 100.0 * math.tan(angle), -angle, half)
+    return ring(road(1, plan, length=2.0 * half))
+
+
+@pytest.mark.parametrize("degrees", [50.0, 90.0])
+def test_a_corner_that_a_vehicle_cannot_take_is_refused_with_its_angle(
+    tmp_path: Path, degrees: float
+) -> None:
+    with pytest.raises(MapError, match=r"road \d+, lane -1, line \d+: .* at most 45 may be") as caught:
+        town_from(tmp_path, with_corner(degrees))
+    assert f"turns by {degrees:.0f} degrees at once into lane -1 of road 1" in str(caught.value)
+
+
 def test_a_lane_that_is_shifted_where_its_width_steps_is_bridged(tmp_path: Path) -> None:
     wide = section(lane(widths=WIDTH.replace("3.5", "5")), s=90) + section(s=120)
     town = town_from(tmp_path, ring(road(1, geometry(0, 0, 0), sections=section() + wide)))

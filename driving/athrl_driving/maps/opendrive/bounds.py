@@ -4,6 +4,8 @@ Real maps keep far below. CARLA's Town04, for comparison, has 2.1 MB, 242 roads 
 257 movements through junctions, and needs 23,000 pieces.
 """
 
+import math
+
 LARGEST_FILE = 64 * 2**20
 """Bytes."""
 
@@ -25,6 +27,10 @@ STEP, LARGEST_STEP = 0.1, 0.5
 
 SHARE_OF_GAP = 0.25
 """Of the length of what is bent to bridge a gap: it turns by no more radians than that."""
+
+LARGEST_CORNER = math.radians(45.0)
+"""By which a lane turns at once into the next one: a vehicle does so too, and its end swings into the lanes
+beside."""
 
 LARGEST_NEGATIVE_WIDTH = 0.02
 """Metres below 0 that a lane's width may be, and is taken as 0."""

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from athrl_driving.maps.levels import VEHICLE_LEVEL_HEIGHT
-from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_GAP, LARGEST_STEP, SHARE_OF_GAP
+from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_CORNER, LARGEST_GAP, LARGEST_STEP, SHARE_OF_GAP
 from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
 from athrl_driving.maps.opendrive.fitting import arc_through
 from athrl_driving.maps.opendrive.model import OpenDrive
@@ -22,13 +22,17 @@ _Points = list[tuple[float, float]]
 
 
 def close_gaps(content: OpenDrive, carriageways: Iterable[Carriageway]) -> None:
-    """Let lanes that are linked meet. Raises `MapError` where they lie too far apart, or on two levels."""
+    """Let lanes that are linked meet.
+
+    Raises `MapError` where they lie too far apart or on two levels, or where a lane turns at a corner.
+    """
     segments = [segment for carriageway in carriageways for segment in carriageway.lanes]
     arrivals = Counter(after for segment in segments for after in segment.successors)
     for segment in segments:
-        x, y, _ = segment.at(segment.length)
+        x, y, heading = segment.at(segment.length)
         for after in segment.successors:
             _check_height(content, segment, after)
+            _check_heading(content, segment, after, heading)
             gap = math.hypot(after.x - x, after.y - y)
             if gap > GAP:
                 _note_or_refuse(content, segment, after, gap)
@@ -42,8 +46,9 @@ def _note_or_refuse(content: OpenDrive, segment: LaneSegment, after: LaneSegment
         # The road has no gap there: a width or an offset steps, or the reference line turns at a corner.
         most = max(most, min(segment.width, after.width))
     if round(gap, 3) > most:
-        target = f"lane {after.lane.id} of road {after.carriageway.road.id}"
-        message = f"it ends {gap:.3f} m from {target}, which it is linked to; at most {most:.2f} m may be"
+        message = (
+            f"it ends {gap:.3f} m from {_named(after)}, which it is linked to; at most {most:.2f} m may be"
+        )
         raise content.error(road, lane.id, lane.line, message)
     content.note("a gap between linked lanes was bridged", road, lane.id, lane.line, gap)
 
@@ -58,11 +63,23 @@ def _check_height(content: OpenDrive, segment: LaneSegment, after: LaneSegment) 
         return
     road, lane = segment.carriageway.road.id, segment.lane
     if step > VEHICLE_LEVEL_HEIGHT:
-        target = f"lane {after.lane.id} of road {after.carriageway.road.id}"
-        place = f"{step:.3f} m above or below {target}, which it is linked to"
+        place = f"{step:.3f} m above or below {_named(after)}, which it is linked to"
         message = f"it ends {place}; at most {VEHICLE_LEVEL_HEIGHT} m may be"
         raise content.error(road, lane.id, lane.line, message)
     content.note("a step in height between linked lanes was driven over", road, lane.id, lane.line, step)
+
+
+def _check_heading(content: OpenDrive, segment: LaneSegment, after: LaneSegment, heading: float) -> None:
+    """Raise `MapError` where a lane turns by a large angle at once."""
+    corner = abs(math.remainder(after.heading - heading, math.tau))
+    if corner > LARGEST_CORNER:
+        turn = f"it turns by {math.degrees(corner):.0f} degrees at once into {_named(after)}"
+        message = f"{turn}, which it is linked to; at most {math.degrees(LARGEST_CORNER):.0f} may be"
+        raise content.error(segment.carriageway.road.id, segment.lane.id, segment.lane.line, message)
+
+
+def _named(segment: LaneSegment) -> str:
+    return f"lane {segment.lane.id} of road {segment.carriageway.road.id}"
 
 
 def _goes_on(before: Carriageway, after: Carriageway) -> bool:
