@@ -11,7 +11,7 @@ import gymnasium
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
-decisions = int(sys.argv[1]) if len(sys.argv) > 1 else 128
+decisions = int(sys.argv[1]) if len(sys.argv) > 1 else 256
 config = {"image_size": 64, "vehicles_count": 50, "episode_ticks": 100}
 
 envs = make_vec_env(lambda: gymnasium.make("athrl/Town03-v0", config=config), n_envs=2)

@@ -11,6 +11,7 @@ from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.env_checker import check_env
 
 FEW_VEHICLES = {"vehicles_count": 20}
+SMALL_REPLAY = {"buffer_size": 500, "learning_starts": 50, "batch_size": 16, "seed": 1, "device": "cpu"}
 
 
 @pytest.mark.filterwarnings("error")
@@ -33,16 +34,7 @@ def test_ppo_trains_on_image_and_motion() -> None:
 
 def test_td3_trains_on_the_default_town_flattened() -> None:
     environment = FlattenObservation(gymnasium.make("athrl/Town03-v0", config=FEW_VEHICLES))
-    model = TD3(
-        "MlpPolicy",
-        environment,
-        policy_kwargs={"net_arch": [64]},
-        buffer_size=500,
-        learning_starts=50,
-        batch_size=16,
-        seed=1,
-        device="cpu",
-    )
+    model = TD3("MlpPolicy", environment, policy_kwargs={"net_arch": [64]}, **SMALL_REPLAY)
     assert _weights_move(model, 60)
 
 
@@ -60,16 +52,7 @@ def test_ppo_trains_on_the_other_kinds_of_action(action: str) -> None:
 def test_sac_trains_on_acceleration_and_steering() -> None:
     config = {**FEW_VEHICLES, "action": {"type": "DirectAction"}}
     environment = FlattenObservation(gymnasium.make("athrl/Town03-v0", config=config))
-    model = SAC(
-        "MlpPolicy",
-        environment,
-        policy_kwargs={"net_arch": [16]},
-        buffer_size=500,
-        learning_starts=50,
-        batch_size=16,
-        seed=1,
-        device="cpu",
-    )
+    model = SAC("MlpPolicy", environment, policy_kwargs={"net_arch": [16]}, **SMALL_REPLAY)
     assert _weights_move(model, 60)
 
 

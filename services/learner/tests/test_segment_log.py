@@ -88,16 +88,22 @@ def test_half_a_record_at_the_end_is_torn_and_the_rest_is_intact(tmp_path):
         assert (damage.torn, damage.start, damage.path) == (True, last, path)
 
 
+def eight_records(folder):
+    """Write a log of one segment; return its records' bodies and the segment's path."""
+    log = make_log(folder, segment_bytes=10_000)
+    bodies = [body(number) for number in range(8)]
+    for content in bodies:
+        log.append(Kind.CHUNK, content)
+    log.close()
+    (path,) = folder.iterdir()
+    return bodies, path
+
+
 @given(place=some.integers(0, 10_000), bit=some.integers(0, 7))
 @settings(deadline=None, max_examples=200)
 def test_a_flipped_bit_costs_one_record_and_is_named(tmp_path_factory, place, bit):
     folder = tmp_path_factory.mktemp("log")
-    log = make_log(folder, segment_bytes=10_000)
-    expected = [body(number) for number in range(8)]
-    for content in expected:
-        log.append(Kind.CHUNK, content)
-    log.close()
-    (path,) = folder.iterdir()
+    expected, path = eight_records(folder)
     whole = bytearray(path.read_bytes())
     place %= len(whole)
     whole[place] ^= 1 << bit
@@ -114,12 +120,7 @@ def test_a_flipped_bit_costs_one_record_and_is_named(tmp_path_factory, place, bi
 
 
 def test_no_flipped_bit_of_a_header_costs_a_record(tmp_path):
-    log = make_log(tmp_path, segment_bytes=10_000)
-    expected = [body(number) for number in range(8)]
-    for content in expected:
-        log.append(Kind.CHUNK, content)
-    log.close()
-    (path,) = tmp_path.iterdir()
+    expected, path = eight_records(tmp_path)
     whole = path.read_bytes()
     for bit in range(8 * SEGMENT_HEADER_BYTES):
         flipped = bytearray(whole)
