@@ -94,7 +94,7 @@ def small_maps(folder: Path) -> list[Path]:
 
 def drive_everywhere(chance: Random, folder: Path) -> None:
     """Drive on all maps and in all case studies; small maps are written to `folder`."""
-    for name in [*TOWNS, *map(str, sorted(CARLA.glob("*.xodr"))), *map(str, small_maps(folder))]:
+    for name in [*TOWNS, "random-7", *map(str, sorted(CARLA.glob("*.xodr"))), *map(str, small_maps(folder))]:
         for vehicles in VEHICLES:
             for drive in (drive_vector, drive_single):
                 settings = settings_of(chance, vehicles)

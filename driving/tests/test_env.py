@@ -306,7 +306,7 @@ def test_scene_shows_all_vehicles() -> None:
         ({"waypoint_half_angle": "wide"}, "waypoint_half_angle is 'wide', it should be a number"),
         ({"town": "atlantis"}, "no town named 'atlantis'. There are town02, town03, town04"),
         ({"town": "Town3"}, "no town named 'Town3', did you mean 'town03'?"),
-        ({"town": 3}, "town is 3, it should be one of town02, town03, town04, or the path"),
+        ({"town": 3}, "town is 3, it should be one of town02, town03, town04, random-1 to "),
         ({"window_side": "wide"}, "window_side is 'wide', it should be a number from 4 to 1000"),
         ({"lidar_rays": 7.5}, "lidar_rays is 7.5, it should be a whole number from 4 to 7200"),
         ({"lidar_range": float("nan")}, "lidar_range is nan, it should be a number"),

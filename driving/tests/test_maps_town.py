@@ -9,7 +9,7 @@ import pytest
 from athrl_driving.maps import TOWNS, Town, lane_pose, load_town
 
 
-@pytest.fixture(scope="module", params=[*TOWNS, "Town02.xodr", "Town03.xodr", "Town04.xodr"])
+@pytest.fixture(scope="module", params=[*TOWNS, "random-7", "Town02.xodr", "Town03.xodr", "Town04.xodr"])
 def town(request: pytest.FixtureRequest, load_any: Callable[[str], Town]) -> Town:
     return load_any(request.param)
 

@@ -9,8 +9,8 @@ import pytest
 DRIVING = Path(__file__).parents[1]
 sys.path.insert(0, str(DRIVING))
 
-from towns.curves import Pose, join  # noqa: E402
-from towns.description import (  # noqa: E402
+from athrl_driving.maps.making.curves import Pose, join  # noqa: E402
+from athrl_driving.maps.making.description import (  # noqa: E402
     Bend,
     Bridge,
     Gore,
@@ -20,9 +20,9 @@ from towns.description import (  # noqa: E402
     Roundabout,
     Town,
 )
+from athrl_driving.maps.making.laying import lay_town  # noqa: E402
+from athrl_driving.maps.making.writing import opendrive_text  # noqa: E402
 from towns.drawing import draw  # noqa: E402
-from towns.laying import lay_town  # noqa: E402
-from towns.opendrive import opendrive_text  # noqa: E402
 
 SQUARE = (Node("a", 0.0, 0.0), Node("b", 100.0, 0.0), Node("c", 0.0, 100.0))
 LOOPS = (

@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from towns.laying import lay_town
-from towns.opendrive import opendrive_text
+from athrl_driving.maps.making.laying import lay_town
+from athrl_driving.maps.making.writing import opendrive_text
+
 from towns.town02 import TOWN02
 from towns.town03 import TOWN03
 from towns.town04 import TOWN04

@@ -9,7 +9,7 @@ pharmacy -- bank ----- kiosk --- post office
   '------------------------------'
 """
 
-from towns.description import Bend, Node, Road, Town
+from athrl_driving.maps.making.description import Bend, Node, Road, Town
 
 _WEST, _EAST, _SOUTH, _NORTH = 4.0, 196.0, 4.0, 196.0
 _CORNER = 16.0

@@ -13,7 +13,7 @@ harbour |      ‖           |        |
   '------- south gate --------------'
 """
 
-from towns.description import Bend, Node, Road, Roundabout, Town
+from athrl_driving.maps.making.description import Bend, Node, Road, Roundabout, Town
 
 TOWN03 = Town(
     name="town03",

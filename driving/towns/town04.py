@@ -7,7 +7,7 @@ one's ramps end. The grid's nodes are named by column a to e and row 1 (south) t
 
 import itertools
 
-from towns.description import Bend, Bridge, Gore, Motorway, Node, Road, Town
+from athrl_driving.maps.making.description import Bend, Bridge, Gore, Motorway, Node, Road, Town
 
 _COLUMNS = {"a": -220.0, "b": -115.0, "c": 0.0, "d": 105.0, "e": 220.0}
 _ROWS = {"1": -212.0, "2": -100.0, "3": 0.0, "4": 108.0, "5": 212.0}

@@ -2,8 +2,8 @@
 
 This package imports no other package of the project and only needs NumPy. `actions` describes a number or a
 choice that a planner decides and its exploration, `action_kinds` the actions that an environment takes,
-`observation` the observation, `reward_terms` the terms of the reward, `policy` the description of a policy.
-`untrusted` reads files from elsewhere within bounds; every room's parsers use it.
+`observation` the observation, `reward_terms` the terms of the reward, `policy` the description of a policy,
+`towns` the names of towns. `untrusted` reads files from elsewhere within bounds; every room's parsers use it.
 """
 
 from athrl_spaces.action_kinds import (
@@ -20,6 +20,7 @@ from athrl_spaces.evaluation import CASE_STUDIES, REFERENCE_DRIVERS
 from athrl_spaces.observation import CHANNELS, MOTION, Observation
 from athrl_spaces.policy import SCHEMA_VERSION, InvalidDescription, LevelDescription, PolicyDescription
 from athrl_spaces.reward_terms import REWARD_TERMS, indices_of_terms, refuse_wrong_terms
+from athrl_spaces.towns import RANDOM_TOWNS, TOWNS, is_town, nearest_town, town_seed
 
 __all__ = [
     "ACTION_KINDS",
@@ -27,9 +28,11 @@ __all__ = [
     "CHANNELS",
     "DIRECT",
     "MOTION",
+    "RANDOM_TOWNS",
     "REFERENCE_DRIVERS",
     "REWARD_TERMS",
     "SCHEMA_VERSION",
+    "TOWNS",
     "WAYPOINT",
     "WAYPOINT_SET",
     "Action",
@@ -46,6 +49,9 @@ __all__ = [
     "Sampled",
     "action_kind",
     "indices_of_terms",
+    "is_town",
+    "nearest_town",
     "ranks",
     "refuse_wrong_terms",
+    "town_seed",
 ]

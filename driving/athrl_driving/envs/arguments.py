@@ -8,10 +8,11 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from athrl_driving.errors import DrivingError
-from athrl_driving.maps import TOWNS
+from athrl_spaces import RANDOM_TOWNS, TOWNS
 
-TOWN_MAY_BE = f"one of {', '.join(TOWNS)}, or the path of an OpenDRIVE file (.xodr)"
+from athrl_driving.errors import DrivingError
+
+TOWN_MAY_BE = f"one of {', '.join(TOWNS)}, {RANDOM_TOWNS}, or the path of an OpenDRIVE file (.xodr)"
 """What an error says of where a town has to be named."""
 
 

@@ -1,14 +1,15 @@
 """A town, ready to be driven in, and the towns by name."""
 
-import difflib
 import logging
 import os
 from collections import Counter, defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from athrl_spaces import RANDOM_TOWNS, TOWNS, is_town, nearest_town, town_seed
 from athrl_spaces.untrusted import one_line, parser_errors
 from numpy.typing import NDArray
 
@@ -19,8 +20,10 @@ from athrl_driving.maps.junctions import Junction, number_junctions
 from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals
 from athrl_driving.maps.lane_graph_builder import build_graph, build_movements, number_lanes
 from athrl_driving.maps.lying_over import note_lanes_lying_over
+from athrl_driving.maps.making.random_towns import checksum, lay_random_town
+from athrl_driving.maps.making.writing import opendrive_text
 from athrl_driving.maps.network import TownNetwork, build_network
-from athrl_driving.maps.opendrive import MapError, read_opendrive
+from athrl_driving.maps.opendrive import MapError, OpenDrive, parse_opendrive, read_opendrive
 from athrl_driving.maps.opendrive.carriageways import LaneSegment
 from athrl_driving.maps.opendrive.roadway import Roadway, build_roadway
 from athrl_driving.maps.outlines import LaneShapes, centre_lines
@@ -37,9 +40,6 @@ from athrl_driving.maps.standing_segments import (
 from athrl_driving.maps.town_file import TownFile, town_file
 
 _FOLDER = Path(__file__).resolve().parent / "towns"
-
-TOWNS: tuple[str, ...] = tuple(sorted(path.stem for path in _FOLDER.glob("*.xodr")))
-"""The names of the towns that the project ships."""
 
 LEFT_OUT_SHARE = 0.02
 """Of all driving metres: where more is left out, it is a warning."""
@@ -83,7 +83,7 @@ class Town:
     findings: tuple[Finding, ...]
     """Faults of the file that were bridged or left out."""
     file: TownFile | None = None
-    """What it was read from; None if it was built otherwise."""
+    """What it was read from; None if it was built by `build_town` alone."""
 
     def __reduce__(self) -> tuple:
         """Pickle the name and the checksum of the file, from which the copy's process loads the town again.
@@ -112,19 +112,23 @@ class Town:
 def load_town(name: str | os.PathLike[str], *, strict: bool = False) -> Town:
     """Return a town by name, or read it from an OpenDRIVE file (a path that ends in .xodr or .XODR).
 
-    A process reads a file once, and again when it has changed. Small faults of a file are bridged or left
-    out, warned of and listed in `Town.findings`; with `strict` the first one is an error. Raises `ValueError`
-    with one line: the known towns, or for a file what is wrong on which road, lane and line.
+    `random-7` is the random town of seed 7. A process reads a file once, and again when it has changed. Small
+    faults of a file are bridged or left out, warned of and listed in `Town.findings`; with `strict` the first
+    one is an error. Raises `ValueError` with one line: the known towns, or for a file what is wrong on which
+    road, lane and line.
     """
+    seed = town_seed(str(name))
+    if seed is not None:
+        return _random_town(seed)
     path = _FOLDER / f"{name}.xodr"
     if str(name).lower().endswith(".xodr"):
         path = Path(name)
     elif str(name) not in TOWNS:
-        near = difflib.get_close_matches(str(name).lower(), TOWNS, n=1)
-        hint = f", did you mean {near[0]!r}?" if near else "."
+        near = nearest_town(str(name))
+        hint = f", did you mean {near!r}?" if near else "."
         raise MapError(
             f"there is no town named {str(name)!r}{hint} "
-            f"There are {', '.join(TOWNS)}; a file is given by its path (.xodr)"
+            f"There are {', '.join(TOWNS)}, {RANDOM_TOWNS}; a file is given by its path (.xodr)"
         )
     return _load_file(path, strict)
 
@@ -143,9 +147,10 @@ def load_same_town(file: TownFile) -> Town:
 
     Raises `MapError` in one line where its file is not there or has become another one.
     """
-    # A path as it was resolved: a link that ends in .xodr may lead to a file with another name.
-    path = _FOLDER / f"{file.name}.xodr" if file.name in TOWNS else Path(file.name)
-    town = _load_file(path, file.strict)
+    if is_town(file.name):
+        town = load_town(file.name, strict=file.strict)
+    else:  # a path as it was resolved: a link that ends in .xodr may lead to a file with another name
+        town = _load_file(Path(file.name), file.strict)
     assert town.file is not None  # as it was loaded
     if town.file.checksum != file.checksum:
         raise MapError(
@@ -157,12 +162,25 @@ def load_same_town(file: TownFile) -> Town:
 
 @lru_cache(maxsize=16)
 def _read_town(path: Path, _changed: int, strict: bool) -> Town:
+    town = _built(path.stem, path.name, lambda: read_opendrive(path, strict))
+    return replace(town, file=town_file(town.name if path.parent == _FOLDER else str(path), path, strict))
+
+
+@lru_cache(maxsize=16)
+def _random_town(seed: int) -> Town:
+    plan = lay_random_town(seed)
+    name, text = plan.name, opendrive_text(plan).encode()
+    town = _built(name, name, lambda: parse_opendrive(name, text, strict=True))
+    return replace(town, file=TownFile(name, checksum(seed), strict=True))
+
+
+def _built(name: str, told: str, read: Callable[[], OpenDrive]) -> Town:
+    """Build the town of what `read` returns; errors call it `told`."""
     with (
-        parser_errors(lambda reason: MapError(f"{path.name}: {reason}")),
+        parser_errors(lambda reason: MapError(f"{told}: {reason}")),
         np.errstate(over="raise", divide="raise", invalid="raise"),
     ):
-        town = build_town(path.stem, build_roadway(read_opendrive(path, strict)))
-    return replace(town, file=town_file(town.name if path.parent == _FOLDER else str(path), path, strict))
+        return build_town(name, build_roadway(read()))
 
 
 def build_town(name: str, roadway: Roadway) -> Town:

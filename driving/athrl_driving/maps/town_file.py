@@ -1,4 +1,4 @@
-"""The file that a town was read from: by it a copy of an environment finds the same town again."""
+"""Where a town comes from: by it a copy of an environment finds the same town again."""
 
 import hashlib
 from dataclasses import dataclass
@@ -9,11 +9,14 @@ _DIGITS_SHOWN = 12
 
 @dataclass(frozen=True, slots=True)
 class TownFile:
-    """Names the file of a town: `name` is that of a town of the project, or the file's whole path."""
+    """Names the file of a town: `name` is that of a town of the project, or the file's whole path.
+
+    A random town has a name and no file.
+    """
 
     name: str
     checksum: str
-    """SHA-256 of the file's content, hexadecimal."""
+    """SHA-256 of the file's content, hexadecimal; of a random town, of how it is drawn."""
     strict: bool
     """Whether it was read strictly."""
 

@@ -10,9 +10,11 @@ import hashlib
 import os
 from pathlib import Path
 
+from athrl_spaces import is_town
+
 from athrl_protocol.errors import RunFileError
 from athrl_protocol.run_file.root import RunFile
-from athrl_protocol.run_file.towns import TOWNS, read_towns
+from athrl_protocol.run_file.towns import read_towns
 
 _DIGITS_SHOWN = 12
 
@@ -56,11 +58,11 @@ def require_same_maps(run_file: RunFile) -> None:
 
 
 def _maps(towns: dict[str, float]) -> list[str]:
-    return [town for town in towns if town not in TOWNS]
+    return [town for town in towns if not is_town(town)]
 
 
 def _whole_path(town: str) -> str:
-    return town if town in TOWNS else os.path.abspath(os.path.expanduser(town))
+    return town if is_town(town) else os.path.abspath(os.path.expanduser(town))
 
 
 def _checked(path: str, known: str | None, *, missing: bool = False) -> str:

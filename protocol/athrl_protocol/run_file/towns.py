@@ -11,24 +11,23 @@ They may be written as a text, a list of texts or a table of shares; the value i
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any
 
+from athrl_spaces import RANDOM_TOWNS, TOWNS, is_town, nearest_town
 from pydantic import BeforeValidator
 
 from athrl_protocol.messages.schema import LONGEST_NAME
 
-TOWNS = ("town02", "town03", "town04")
 MAP_ENDING = ".xodr"
 """Of the names of maps, in capitals or small letters."""
 MOST_TOWNS = 16
 
 EXPECTED = "a town, a list of towns, or a table of their shares"
-_MAY_BE = f"{', '.join(TOWNS)}, or an OpenDRIVE file, PATH.xodr"
+_MAY_BE = f"{', '.join(TOWNS)}, {RANDOM_TOWNS}, or an OpenDRIVE file, PATH.xodr"
 
 
 def read_towns(value: Any) -> dict[str, float]:
@@ -62,11 +61,11 @@ def _equal_shares(towns: list[Any]) -> dict[Any, float]:
 def _town(name: Any) -> str:
     if not isinstance(name, str):
         raise ValueError(f"has a town {name!r:.60}, should be {EXPECTED}")
-    if name in TOWNS:
+    if is_town(name):
         return name
     if not name.lower().endswith(MAP_ENDING) or len(name) == len(MAP_ENDING):
-        near = difflib.get_close_matches(name.lower(), TOWNS, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        near = nearest_town(name)
+        hint = f"; did you mean {near}?" if near else ""
         if name.startswith(("[", "{")) or "," in name:  # invalid TOML was taken for a text
             hint = '; the texts of a list need quotes, ["town03", "town04"], shares are numbers, {town03 = 2}'
         raise ValueError(f"{_quoted(name)} is no town: should be {_MAY_BE}{hint}")

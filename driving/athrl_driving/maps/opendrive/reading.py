@@ -37,18 +37,23 @@ def read_opendrive(path: Path, strict: bool = False) -> OpenDrive:
     """
     with parser_errors(lambda reason: MapError(f"{path}: {reason}")):
         text = read_untrusted(path, LARGEST_FILE)
-    _check_size(path.name, text)
-    findings = Findings(path.name, strict)
-    reader, content = ElementReader(path.name, findings), OpenDrive(path.name, {}, {}, findings)
+    return parse_opendrive(path.name, text, strict)
+
+
+def parse_opendrive(name: str, text: bytes, strict: bool = False) -> OpenDrive:
+    """`read_opendrive` of a file's text; errors call it `name`."""
+    _check_size(name, text)
+    findings = Findings(name, strict)
+    reader, content = ElementReader(name, findings), OpenDrive(name, {}, {}, findings)
     try:
-        for element in _parts(path.name, _as_utf8(findings, text)):
+        for element in _parts(name, _as_utf8(findings, text)):
             _read_part(reader, content, element)
     except etree.XMLSyntaxError as error:
         raise MapError(
-            f"{path.name}: line {error.lineno}: this is not well-formed XML: {one_line(error.msg or '')}"
+            f"{name}: line {error.lineno}: this is not well-formed XML: {one_line(error.msg or '')}"
         ) from None
     if not content.roads:
-        raise MapError(f"{path.name}: there is no <road> in the file")
+        raise MapError(f"{name}: there is no <road> in the file")
     place_lights(content)
     leave_out_virtual_junctions(content)
     return content

@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from towns.curves import Piece, Pose, cut, join, length_of, rounded_polyline
-from towns.description import Bridge, Gore, Motorway
-from towns.plan import Arm, LaneEnd, LanePlan, RoadPlan, SectionPlan, TownPlan
+from athrl_driving.maps.making.curves import Piece, Pose, cut, join, length_of, rounded_polyline
+from athrl_driving.maps.making.description import Bridge, Gore, Motorway
+from athrl_driving.maps.making.plan import Arm, LaneEnd, LanePlan, RoadPlan, SectionPlan, TownPlan
 
 GORE_LENGTH = 40.0
 """Metres of motorway over which a ramp and the outermost lane part or meet."""

@@ -6,16 +6,18 @@ way past the arm on the ring, and the exit to the road. A section between two ar
 
 import math
 
-from towns.curves import Piece, Pose, join
-from towns.description import Roundabout
-from towns.junctions import SMALLEST_RADIUS
-from towns.plan import Arm, LaneEnd, LanePlan, RoadPlan, SectionPlan, TownPlan
+from athrl_driving.maps.making.curves import Piece, Pose, join
+from athrl_driving.maps.making.description import Roundabout
+from athrl_driving.maps.making.plan import Arm, LaneEnd, LanePlan, RoadPlan, SectionPlan, TownPlan
 
 ARM_REACH = 9.5
 """Metres from the line between the ring's lanes to where the roads end."""
 
 MERGE_ANGLE = math.radians(27.5)
 """Angle on the ring between an arm's axis and the points where its exit leaves and its entry joins."""
+
+_SMALLEST_RADIUS = 8.0
+"""Metres: no entry and no exit is tighter."""
 
 _LANES = 2
 _LEAST_SECTION = 12.0
@@ -46,12 +48,12 @@ def lay_roundabout(plan: TownPlan, node: Roundabout, arms: list[Arm]) -> None:
             radius = node.radius + (lane - 0.5) * plan.lane_width
             past = Piece(start.pose, 1.0 / radius, 2.0 * MERGE_ANGLE * radius)
             ring.append(plan.connect(junction, start, end, [past]))
-            leaving = join(start.pose, arm.outgoing[lane].pose, SMALLEST_RADIUS)
+            leaving = join(start.pose, arm.outgoing[lane].pose, _SMALLEST_RADIUS)
             ring.append(plan.connect(junction, start, arm.outgoing[lane], leaving))
         entries = []
         for lane in range(_LANES):
             end = _ring_lane(after, "start", lane)
-            entering = join(arm.incoming[lane].pose, end.pose, SMALLEST_RADIUS)
+            entering = join(arm.incoming[lane].pose, end.pose, _SMALLEST_RADIUS)
             entries.append(plan.connect(junction, arm.incoming[lane], end, entering))
         junction.priorities = [(high.number, low.number) for high in ring for low in entries]
 

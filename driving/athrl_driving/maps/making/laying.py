@@ -2,12 +2,12 @@
 
 import math
 
-from towns.curves import Piece, Pose, cut, length_of, rounded_polyline, wrap
-from towns.description import Bend, Node, Road, Roundabout, Town
-from towns.junctions import TURN_RADIUS, lay_junction
-from towns.motorway import RampEnd, lay_motorway, lay_ramp_junctions
-from towns.plan import Arm, Contact, LaneEnd, LanePlan, RoadPlan, SectionPlan, TownPlan
-from towns.roundabout import ARM_REACH, lay_roundabout
+from athrl_driving.maps.making.curves import Piece, Pose, cut, length_of, rounded_polyline, wrap
+from athrl_driving.maps.making.description import Bend, Node, Road, Roundabout, Town
+from athrl_driving.maps.making.junctions import lay_junction
+from athrl_driving.maps.making.motorway import RampEnd, lay_motorway, lay_ramp_junctions
+from athrl_driving.maps.making.plan import Arm, Contact, LaneEnd, LanePlan, RoadPlan, SectionPlan, TownPlan
+from athrl_driving.maps.making.roundabout import ARM_REACH, lay_roundabout
 
 _SIDEWALK = 2.0
 _LEAST_STRAIGHT = 1.0
@@ -72,21 +72,22 @@ def _setbacks(town: Town, lines: dict[Road, list[Piece]]) -> dict[str, float]:
         if isinstance(node, Roundabout):
             result[node.name] = node.radius + ARM_REACH
         else:
-            result[node.name] = _junction_room(node.name, arms)
+            result[node.name] = _junction_room(node, arms)
     return result
 
 
-def _junction_room(name: str, arms: list[tuple[float, float]]) -> float:
+def _junction_room(node: Node, arms: list[tuple[float, float]]) -> float:
     """Return the metres that right turns need between arms, given as direction and half width."""
-    room = TURN_RADIUS
+    radius = node.turn_radius
+    room = radius
     arms = sorted(arms)
     for first, second in zip(arms, arms[1:] + arms[:1], strict=True):
         angle = (second[0] - first[0]) % (2.0 * math.pi)
         if angle < _LEAST_ANGLE:
-            raise ValueError(f"node {name}: two roads are only {math.degrees(angle):.0f} degrees apart")
+            raise ValueError(f"node {node.name}: two roads are only {math.degrees(angle):.0f} degrees apart")
         if angle < _TURN_BELOW:
             # The outer lanes' lines meet there; the turn's tangent begins before.
-            room = max(room, (max(first[1], second[1]) + TURN_RADIUS) / math.tan(angle / 2.0))
+            room = max(room, (max(first[1], second[1]) + radius) / math.tan(angle / 2.0))
     return room
 
 
@@ -103,7 +104,10 @@ def _lay_road(
     for piece, room in ((line[0], start), (line[-1], end)):
         if piece.curvature != 0.0 or piece.length < room + _LEAST_STRAIGHT:
             raise ValueError(f"road {name}: it must be straight for {room + _LEAST_STRAIGHT:.1f} m at a node")
-    pieces = cut(line, start, length_of(line) - end)
+    length = length_of(line)
+    if length < start + end + _LEAST_STRAIGHT:
+        raise ValueError(f"road {name}: it has {length:.1f} m, its nodes need {start + end:.1f} m")
+    pieces = cut(line, start, length - end)
     forth, back = road.lanes
     width = plan.lane_width
     offset = (forth - back) * width / 2.0

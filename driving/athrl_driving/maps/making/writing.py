@@ -3,8 +3,8 @@
 import xml.etree.ElementTree as ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from towns.curves import Piece
-from towns.plan import JunctionPlan, LanePlan, RoadPlan, SectionPlan, SignalPlan, TownPlan
+from athrl_driving.maps.making.curves import Piece
+from athrl_driving.maps.making.plan import JunctionPlan, LanePlan, RoadPlan, SectionPlan, SignalPlan, TownPlan
 
 _DECIMALS = 10
 _TRAFFIC_LIGHT = "1000001"

@@ -8,7 +8,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Literal
 
-from towns.curves import Piece, Pose, length_of
+from athrl_driving.maps.making.curves import Piece, Pose, length_of
 
 Contact = Literal["start", "end"]
 

@@ -2,15 +2,12 @@
 
 import math
 
-from towns.curves import join, wrap
-from towns.description import Node
-from towns.plan import Arm, ControllerPlan, JunctionPlan, RoadPlan, TownPlan
+from athrl_driving.maps.making.curves import join, wrap
+from athrl_driving.maps.making.description import Node
+from athrl_driving.maps.making.plan import Arm, ControllerPlan, JunctionPlan, RoadPlan, TownPlan
 
-TURN_RADIUS = 8.2
-"""Metres: right turns at a junction are made this wide. A car of 4.9 m that steers 21 degrees needs 7.6."""
-
-SMALLEST_RADIUS = 8.0
-"""Metres: no lane through a junction is tighter."""
+TOLERANCE = 0.2
+"""Metres by which a lane through a junction may be tighter than the junction's right turns."""
 
 _STRAIGHT_WITHIN = math.radians(35.0)
 _OPPOSITE_WITHIN = math.radians(45.0)
@@ -31,7 +28,7 @@ def lay_junction(plan: TownPlan, node: Node, arms: list[Arm]) -> None:
             for entering, leaving in _lane_pairs(arm, target):
                 start, end = arm.incoming[entering], target.outgoing[leaving]
                 try:
-                    pieces = join(start.pose, end.pose, SMALLEST_RADIUS)
+                    pieces = join(start.pose, end.pose, node.turn_radius - TOLERANCE)
                 except ValueError as error:
                     raise ValueError(f"node {node.name}: {error}") from None
                 laid.append((arm.major, plan.connect(junction, start, end, pieces)))
