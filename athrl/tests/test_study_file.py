@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -232,6 +233,34 @@ def test_changed_run_file_makes_it_another_study(tmp_path: Path) -> None:
 def test_folder_with_other_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(CommandError, match="holds other files and no study"), StudyFolder(tmp_path).locked():
+        pass
+
+
+def test_study_is_begun_though_the_disk_was_full_or_another_worker_begins_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    folder, wanted = StudyFolder(tmp_path / "out"), read(written(tmp_path, GOOD))
+    with monkeypatch.context() as patched:
+        patched.setattr("os.replace", full)
+        with folder.locked(), pytest.raises(CommandError, match="no space left on device"):
+            folder.claim(*wanted)
+    assert [each.name for each in folder.path.iterdir()] == ["study.lock"]
+    (folder.path / "begun.json.7.part").write_text("{")
+    with folder.locked():
+        folder.claim(*wanted)
+
+
+def test_folder_that_cannot_be_locked_is_not_said_to_be_in_use(
+    begun: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without_locks(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", without_locks)
+    with pytest.raises(CommandError, match="cannot be locked: no locks available; mount"), begun.locked():
         pass
 
 
