@@ -182,6 +182,10 @@ def _written(
                     yield lambda picture: stream.write(picture.tobytes())
                     stream.close()
                 failed = ffmpeg.wait(FINISH_SECONDS) != 0
+            except subprocess.TimeoutExpired:
+                raise EvaluatorError(
+                    f"cannot write {path}: ffmpeg does not complete it within {FINISH_SECONDS:g} s"
+                ) from None
             finally:
                 ffmpeg.kill()
                 ffmpeg.wait()
