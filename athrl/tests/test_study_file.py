@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import threading
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from athrl.study.file import StudyFile, read_study_file
 from athrl.study.folder import StudyFolder
 from athrl.study.places import require_places
 from athrl.study.plan import PlannedRun, planned_runs, require_search
+from athrl.study.search import Search
 from athrl_protocol.run_file import declare_planners, declared_planners, read_run_file
 from athrl_protocol.run_file.toml_values import to_toml_value
 
@@ -273,3 +275,19 @@ def test_several_workers_of_a_search_share_a_folder(begun: StudyFolder) -> None:
     refused = pytest.raises(CommandError, match="another athrl study works in it")
     with begun.locked(shared=True), begun.locked(shared=True), refused, begun.locked():
         pass
+
+
+def test_search_whose_file_is_damaged_ends_with_one_line(tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD | {"search": SEARCH})
+    study, _ = read(path)
+    folder = StudyFolder(tmp_path)
+
+    def begin() -> Search:
+        return Search(path, study, folder, threading.Event(), lambda line: None)
+
+    search = begin()
+    (tmp_path / "search.db").write_bytes(b"damaged" * 2000)
+    told = "^the file of the search .*search.db cannot be used: file is not a database$"
+    for use in (search.run, search.found, begin):
+        with pytest.raises(CommandError, match=told):
+            use()
