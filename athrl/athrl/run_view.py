@@ -23,7 +23,8 @@ from athrl_protocol import (
 from athrl_protocol.announcements.answers import fetch_changes
 from athrl_protocol.announcements.recent_rate import RecentRate
 from athrl_protocol.run_file import RunFile
-from athrl_protocol.transport.session import address_of, listens
+from athrl_protocol.transport.address import complete_address
+from athrl_protocol.transport.session import listens
 
 SILENT_SECONDS = 5.0
 """State and metrics arrive every second; after so long without new ones they are old."""
@@ -122,7 +123,8 @@ class RunView:
             self.settings = fetch_run_file(session, self.run, timeout=self.timeout)
             run = self.settings.run.name
             self._changes = tuple(fetch_changes(session, run))
-            self._session, self._address, self._heard_at = session, address_of(session), time.monotonic()
+            self._session, self._heard_at = session, time.monotonic()
+            self._address = complete_address(self.connect, secure=self.connect.startswith("tls/"))
             self._state = stack.enter_context(StateSubscriber(session, run, self._on_state))
             stack.enter_context(MetricsSubscriber(session, run, self._on_metrics))
             stack.enter_context(EvaluationSubscriber(session, run, self._on_evaluation))

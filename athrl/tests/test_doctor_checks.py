@@ -138,6 +138,18 @@ def test_open_address_without_certificates_is_a_warning(monkeypatch: pytest.Monk
     assert "without certificates" in worst(found).seen
 
 
+def test_address_with_encryption_fits_certificates(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, port: int
+) -> None:
+    """As the run file in the folder of a run with certificates has it."""
+    monkeypatch.delenv("ATHRL_CERTIFICATES", raising=False)
+    listen = f"network.listen=tls/0.0.0.0:{port}"
+    (fitting,) = network.port(settings(listen, f"network.certificates={folder}"))
+    assert fitting.level is Level.OK
+    (without,) = findings_of("port", lambda: network.port(settings(listen)))
+    assert "needs certificates" in without.seen
+
+
 def test_folder_that_cannot_be_written_is_named() -> None:
     found = list(disk.disk(settings("run.folder=/proc/self")))
     assert found[0].level is Level.FAILED
@@ -216,6 +228,16 @@ def test_delivery_trial_loses_nothing(tmp_path: Path) -> None:
     outcome = delivery_trial(tmp_path, 300)
     assert (outcome.acknowledged, outcome.lost, outcome.twice) == (300, 0, 0)
     assert len(numbered_segments(tmp_path)) >= 2, "the receiver was killed and started again"
+
+
+def test_trial_does_not_wait_for_ever_for_a_receiver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    silent = tmp_path / "python"
+    silent.write_text("#!/bin/sh\nexec sleep 200\n")
+    silent.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(silent))
+    monkeypatch.setattr(round_trip, "START_SECONDS", 0.2)
+    with pytest.raises(CommandError, match="the receiver does not start: it says nothing"):
+        delivery_trial(tmp_path, 3)
 
 
 def test_receiver_of_the_trial_loads_no_torch() -> None:

@@ -81,6 +81,20 @@ def test_relay_without_a_learner_closes_connections(folder: Path, named: str | N
         assert client.recv(1) == b""
 
 
+def test_relay_ends_though_the_folder_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, answers = threading.Event(), threading.Event()
+
+    def find() -> None:
+        asked.set()
+        answers.wait(PATIENCE)
+
+    monkeypatch.setattr("athrl.rendezvous.relay.CLOSE_SECONDS", 0.2)
+    with Relay(find) as relay, _connected(relay):
+        assert asked.wait(PATIENCE)
+    assert not answers.is_set()
+    answers.set()
+
+
 def _connected(relay: Relay) -> socket.socket:
     host, _, port = relay.address.partition(":")
     return socket.create_connection((host, int(port)), timeout=PATIENCE)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 
 import pytest
+import zenoh
 from athrl.run_view import RunSnapshot, RunView
 from athrl_protocol import Phase, RunFile, RunState, StatePublisher, open_session, serve_run_file
 
@@ -88,6 +89,28 @@ def test_rate_of_the_warm_up_is_not_taken_for_that_of_training(address: str) -> 
         states.publish(RunState(Phase.TRAINING, 2_010, 30_000, 1, 0, ""))
         assert snapshot(in_phase(Phase.TRAINING)).steps_per_second is None
         assert snapshot(lambda now: now.steps_per_second is not None).steps_per_second == 0.0
+
+
+def test_learner_that_is_lost_while_the_view_opens_is_told(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(session: zenoh.Session, run: str) -> list[str]:
+        learner.close()
+        deadline = time.monotonic() + PATIENCE
+        while session.info.links():
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        return []
+
+    monkeypatch.setattr(run_view, "SILENT_SECONDS", 0.1)
+    monkeypatch.setattr(run_view, "fetch_changes", lost)
+    with (
+        open_session(listen=address, timeout=PATIENCE) as learner,
+        serve_run_file(learner, RunFile()),
+        RunView(address, None, timeout=PATIENCE) as view,
+    ):
+        time.sleep(0.2)
+        assert f"no process listens at {address}" in view.snapshot().silence
 
 
 def test_paused_learner_is_told_from_an_absent_one(address: str, monkeypatch: pytest.MonkeyPatch) -> None:

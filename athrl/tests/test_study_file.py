@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import threading
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from athrl.study.file import StudyFile, read_study_file
 from athrl.study.folder import StudyFolder
 from athrl.study.places import require_places
 from athrl.study.plan import PlannedRun, planned_runs, require_search
+from athrl.study.search import Search
 from athrl_protocol.run_file import declare_planners, declared_planners, read_run_file
 from athrl_protocol.run_file.toml_values import to_toml_value
 
@@ -235,6 +238,34 @@ def test_folder_with_other_files_is_refused(tmp_path: Path) -> None:
         pass
 
 
+def test_study_is_begun_though_the_disk_was_full_or_another_worker_begins_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    folder, wanted = StudyFolder(tmp_path / "out"), read(written(tmp_path, GOOD))
+    with monkeypatch.context() as patched:
+        patched.setattr("os.replace", full)
+        with folder.locked(), pytest.raises(CommandError, match="no space left on device"):
+            folder.claim(*wanted)
+    assert [each.name for each in folder.path.iterdir()] == ["study.lock"]
+    (folder.path / "begun.json.7.part").write_text("{")
+    with folder.locked():
+        folder.claim(*wanted)
+
+
+def test_folder_that_cannot_be_locked_is_not_said_to_be_in_use(
+    begun: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without_locks(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", without_locks)
+    with pytest.raises(CommandError, match="cannot be locked: no locks available; mount"), begun.locked():
+        pass
+
+
 def test_two_processes_do_not_work_on_the_same_grid(begun: StudyFolder) -> None:
     with begun.locked(), pytest.raises(CommandError, match="another athrl study works in it"), begun.locked():
         pass
@@ -244,3 +275,19 @@ def test_several_workers_of_a_search_share_a_folder(begun: StudyFolder) -> None:
     refused = pytest.raises(CommandError, match="another athrl study works in it")
     with begun.locked(shared=True), begun.locked(shared=True), refused, begun.locked():
         pass
+
+
+def test_search_whose_file_is_damaged_ends_with_one_line(tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD | {"search": SEARCH})
+    study, _ = read(path)
+    folder = StudyFolder(tmp_path)
+
+    def begin() -> Search:
+        return Search(path, study, folder, threading.Event(), lambda line: None)
+
+    search = begin()
+    (tmp_path / "search.db").write_bytes(b"damaged" * 2000)
+    told = "^the file of the search .*search.db cannot be used: file is not a database$"
+    for use in (search.run, search.found, begin):
+        with pytest.raises(CommandError, match=told):
+            use()

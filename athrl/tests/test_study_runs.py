@@ -62,3 +62,6 @@ def test_scores_are_found_among_other_lines() -> None:
     assert scores_said(["loading", '{"return_mean": 1.5}', "a warning"]) == {"return_mean": 1.5}
     with pytest.raises(RunFailed, match="printed no scores"):
         scores_said(["loading"])
+    for damaged in ('{"return_mean": 1.', '{"return_mean": null}'):
+        with pytest.raises(RunFailed, match="printed no scores: "):
+            scores_said([damaged])

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from athrl.errors import CommandError
 from athrl.train.process import ServiceProcess
 from athrl.train.supervisor import Service, ServiceDied, Supervisor
 
@@ -126,6 +127,24 @@ def test_service_that_does_not_drain_is_ended_with_what_it_started(tmp_path: Pat
     while running(child):
         assert time.monotonic() < deadline
         time.sleep(0.02)
+
+
+def test_service_that_the_system_does_not_start_is_named_in_one_line(tmp_path: Path) -> None:
+    one = service(tmp_path, "pass")
+    one.process.command = ["/no/such/python"]
+    with pytest.raises(CommandError, match=r"^cannot start one: no such file or directory$"):
+        Supervisor(lambda line: None).start(one)
+
+
+def test_service_that_even_a_kill_does_not_end_keeps_no_other_alive(tmp_path: Path) -> None:
+    supervisor = Supervisor(lambda line: None)
+    stuck, other = (service(tmp_path, "import time; time.sleep(600)") for _ in range(2))
+    for each in (stuck, other):
+        supervisor.start(each)
+    stuck.process.wait = lambda seconds: False  # type: ignore[method-assign]
+    with pytest.raises(CommandError, match="one was killed and is still there after 10 s"):
+        supervisor.end()
+    assert other.process.wait(10)
 
 
 def running(pid: int) -> bool:

@@ -6,10 +6,10 @@ everything else is imported when its name is first used.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from athrl_spaces import CASE_STUDIES
+from athrl_spaces.first_use import on_first_use
 from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
@@ -30,26 +30,21 @@ __all__ = [
     "make_driver",
 ]
 
-_MODULE_OF_NAME = {
-    "BlindRouteFollower": "drivers",
-    "Driver": "drivers",
-    "RandomDriver": "drivers",
-    "RuleBasedDriver": "drivers",
-    "Scene": "scene",
-    "TownEnv": "envs",
-    "TownVectorEnv": "envs",
-    "VehiclePose": "scene",
-    "lane_polylines": "scene",
-    "make_driver": "drivers",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import the module of a public name when the name is first used."""
-    if name not in _MODULE_OF_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f".{_MODULE_OF_NAME[name]}", __name__), name)
-
+__getattr__ = on_first_use(
+    __name__,
+    {
+        "BlindRouteFollower": "drivers",
+        "Driver": "drivers",
+        "RandomDriver": "drivers",
+        "RuleBasedDriver": "drivers",
+        "Scene": "scene",
+        "TownEnv": "envs",
+        "TownVectorEnv": "envs",
+        "VehiclePose": "scene",
+        "lane_polylines": "scene",
+        "make_driver": "drivers",
+    },
+)
 
 _ARGUMENTS_OF_ID: dict[str, dict[str, str]] = {
     "athrl/Town02-v0": {"map": "town02"},

@@ -7,8 +7,9 @@ folder: `athrl`, `hddpg`, `ddpg`, `hdqn`.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from athrl_spaces.first_use import on_first_use
 
 from athrl_planners.planner import LevelPlan, Planner
 from athrl_planners.registry import UnknownPlanner, planner, planners, settings_tables
@@ -21,26 +22,22 @@ if TYPE_CHECKING:
     from athrl_planners.training.agent import Agent
     from athrl_planners.training.policy import PolicyOutput
 
-_WITH_TORCH = {
-    "Agent": "training.agent",
-    "Batch": "replay",
-    "PolicyExporter": "export",
-    "PolicyOutput": "training.policy",
-    "Sequence": "replay",
-    "SequenceBatch": "replay",
-    "SequenceReplay": "replay",
-    "TrainingDiverged": "errors",
-    "TransitionBatch": "replay",
-    "make_agent": "factories",
-}
-"""Names that are only imported when they are used."""
-
-
-def __getattr__(name: str) -> Any:
-    if name in _WITH_TORCH:
-        return getattr(importlib.import_module(f"athrl_planners.{_WITH_TORCH[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
+# Most of them need torch, which takes seconds.
+__getattr__ = on_first_use(
+    __name__,
+    {
+        "Agent": "training.agent",
+        "Batch": "replay",
+        "PolicyExporter": "export",
+        "PolicyOutput": "training.policy",
+        "Sequence": "replay",
+        "SequenceBatch": "replay",
+        "SequenceReplay": "replay",
+        "TrainingDiverged": "errors",
+        "TransitionBatch": "replay",
+        "make_agent": "factories",
+    },
+)
 
 __all__ = [
     "Agent",

@@ -15,6 +15,8 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 
+from athrl_spaces.untrusted import one_short_line
+
 from athrl_planners.planner import Planner
 from athrl_planners.settings import PlannerSettings
 
@@ -64,8 +66,9 @@ def _load(kind: str, place: str) -> type[Planner]:
     module, _, name = place.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, SyntaxError) as error:
-        raise UnknownPlanner(f"the planner {kind} cannot be loaded from {place}: {error}") from None
+    except Exception as error:  # of whatever kind: the module may be of another package
+        reason = one_short_line(f"{type(error).__name__}: {error}")
+        raise UnknownPlanner(f"the planner {kind} cannot be loaded from {place}: {reason}") from None
     if not (isinstance(found, type) and issubclass(found, Planner)):
         raise UnknownPlanner(f"the planner {kind} at {place} is {found!r:.60}, it should be a Planner")
     for attribute in ("kind", "summary", "settings", "action_kind"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
@@ -250,7 +251,10 @@ def test_level_that_cannot_be_is_refused(changes: dict[str, Any], message: str) 
 @pytest.mark.parametrize(
     ("place", "message"),
     [
-        ("nowhere.to_be:Found", "the planner mine cannot be loaded from nowhere.to_be:Found: No module"),
+        (
+            "nowhere.to_be:Found",
+            "the planner mine cannot be loaded from nowhere.to_be:Found: ModuleNotFoundError: No module",
+        ),
         ("athrl_planners.athrl:Nobody", "the planner mine cannot be loaded from athrl_planners.athrl:Nobody"),
         ("athrl_planners.settings:PlannerSettings", "it should be a Planner"),
         ("athrl_planners.athrl:AtHRL", "calls itself 'athrl', it is registered as 'mine'"),
@@ -265,3 +269,15 @@ def test_planner_that_cannot_be_loaded_is_refused_by_name(
     with pytest.raises(UnknownPlanner) as refused:
         planners()
     assert message in said(refused)
+
+
+def test_planner_whose_module_fails_in_whatever_way_is_refused_by_name(
+    monkeypatch: pytest.MonkeyPatch, fresh_registry: Callable[[], None], tmp_path: Path
+) -> None:
+    (tmp_path / "broken_planner.py").write_text("SPEEDS = {}\nSLOW = SPEEDS['slow']\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(registry.PLANNERS, "mine", "broken_planner:Mine")
+    fresh_registry()
+    with pytest.raises(UnknownPlanner) as refused:
+        planners()
+    assert said(refused) == "the planner mine cannot be loaded from broken_planner:Mine: KeyError: 'slow'"

@@ -275,6 +275,15 @@ def test_state_of_the_run_arrives_with_its_phase(listen: Open, connect: Open) ->
         assert subscriber.wait(PATIENCE) == state
 
 
+def test_state_that_names_a_folder_with_strange_signs_arrives(listen: Open, connect: Open) -> None:
+    waiting = f"the disk of /runs/a\u00a0b{'/folder' * 500} is full"
+    with StatePublisher(listen(), RUN) as publisher, StateSubscriber(connect(), RUN) as subscriber:
+        publisher.publish(RunState(Phase.TRAINING, 120, 40_000, 17, 3, waiting))
+        state = subscriber.wait(PATIENCE)
+    assert state is not None
+    assert state.waiting == waiting.replace("\u00a0", " ")[:2_000]
+
+
 def test_latecomer_gets_the_newest_result_of_every_driver(
     listen: Open, connect: Open, eventually: Eventually
 ) -> None:

@@ -100,3 +100,5 @@ def test_newest_changes_are_told_and_none_without_a_learner(listen: Open, connec
     told = [f"learner.batch was {number} and is {number + 1}" for number in range(30)]
     with serve_changes(learner, RUN, told):
         assert fetch_changes(viewer, RUN) == told[-20:]
+    with serve_changes(learner, RUN, ["network.certificates was '/a\u00a0\u202eb'", "x" * 5_000]):
+        assert fetch_changes(viewer, RUN) == ["network.certificates was '/a \\u202eb'", "x" * 2_000]

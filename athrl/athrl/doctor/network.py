@@ -31,11 +31,12 @@ from athrl.doctor.finding import Finding, failed, findings_of, ok, warning
 
 def port(settings: RunFile) -> Iterator[Finding]:
     """Check that `network.listen` is free."""
-    address = settings.network.listen
-    require_free(complete_address(address, secure=False))
-    yield ok("port", f"{address} is free")
-    host, _ = split_address(complete_address(address, secure=False))
-    if not is_loopback(host) and certificate_folder(settings) is None:
+    secure = certificate_folder(settings) is not None
+    address = complete_address(settings.network.listen, secure=secure)
+    require_free(address)
+    yield ok("port", f"{settings.network.listen} is free")
+    host, _ = split_address(address)
+    if not secure and not is_loopback(host):
         yield warning(
             "exposure",
             f"the learner would listen at {host} without certificates: every client may do everything",

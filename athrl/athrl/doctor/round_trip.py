@@ -6,6 +6,7 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -146,14 +147,25 @@ def _receiver(address: str, folder: Path, fsync: str) -> Iterator[subprocess.Pop
         text=True,
     )
     try:
-        assert process.stdout is not None
-        if process.stdout.readline().strip() != "ready":
-            _, said = process.communicate(timeout=START_SECONDS)
-            raise CommandError(f"the receiver does not start: {(said.strip().splitlines() or ['?'])[-1]}")
+        if not _says_ready(process):
+            process.kill()
+            said = process.communicate()[1].strip().splitlines() or ["it says nothing"]
+            raise CommandError(f"the receiver does not start: {said[-1]}")
         yield process
     finally:
         process.kill()
         process.communicate()
+
+
+def _says_ready(process: subprocess.Popen[str]) -> bool:
+    """Whether the receiver is ready for chunks; one that is not within `START_SECONDS` is ended."""
+    assert process.stdout is not None
+    late = threading.Timer(START_SECONDS, process.kill)
+    late.start()
+    try:
+        return process.stdout.readline().strip() == "ready"
+    finally:
+        late.cancel()
 
 
 @contextlib.contextmanager

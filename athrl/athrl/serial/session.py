@@ -63,7 +63,8 @@ def run_serial(
     """
     settings = with_whole_maps(settings)
     log_device(settings)
-    _make_torch_deterministic(settings)
+    keep_freed_memory()
+    _make_torch_deterministic()
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(run_folder(settings)))
         content = checkpoint_to_resume(folder, resuming=resume, serial=True)
@@ -159,14 +160,12 @@ def _does_not_fit(reason: str) -> CannotResume:
     )
 
 
-def _make_torch_deterministic(settings: RunFile) -> None:
+def _make_torch_deterministic() -> None:
     # Both are read at the first use of the libraries: the order of sums must not depend on alignment.
     os.environ.setdefault("MKL_CBWR", "AUTO")
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     # As use_deterministic_algorithms does, which also loads torch's compiler: four seconds of a core.
     torch.set_deterministic_debug_mode("error")
-    # One thread by default: sums depend on the number of threads, and the machine should not matter.
-    keep_freed_memory()
 
 
 @contextmanager

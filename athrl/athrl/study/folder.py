@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -39,14 +40,13 @@ class StudyFolder:
         """Hold the folder for this process, or for the workers of one search together.
 
         Raises:
-            CommandError: another process holds it, or it cannot be made or written.
+            CommandError: another process holds it, or it cannot be made, written or locked.
         """
         with self._writing(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-            stranger = not self._begun.exists() and any(
-                each.name != "study.lock" for each in self.path.iterdir()
-            )
-            if stranger:
+            others = (each.name for each in self.path.iterdir() if each.name != "study.lock")
+            # begun.json.N.part is being written by another worker, or was by one that was killed.
+            if not self._begun.exists() and not all(name.startswith(self._begun.name) for name in others):
                 raise CommandError(
                     f"--out {self.path}: holds other files and no study, should be a new folder "
                     "or that of this study"
@@ -55,9 +55,15 @@ class StudyFolder:
         with lock:
             try:
                 fcntl.flock(lock, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-            except OSError:
+            except BlockingIOError:
                 raise CommandError(
                     f"--out {self.path}: another athrl study works in it, wait for its end or stop it"
+                ) from None
+            except OSError as error:  # for instance of a network file system that is mounted without locks
+                cause = (error.strerror or str(error)).lower()
+                raise CommandError(
+                    f"--out {self.path}: cannot be locked: {cause}; mount its file system with locks, or "
+                    "name another folder"
                 ) from None
             yield
 
@@ -119,8 +125,13 @@ class StudyFolder:
         part = path.with_name(f"{path.name}.{os.getpid()}.part")
         with self._writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(content.encode() if isinstance(content, str) else content)
-            os.replace(part, path)
+            try:
+                part.write_bytes(content.encode() if isinstance(content, str) else content)
+                os.replace(part, path)
+            except OSError:
+                with contextlib.suppress(OSError):
+                    part.unlink()
+                raise
 
     @staticmethod
     def _read(path: Path) -> dict[str, Any]:

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from athrl_spaces.untrusted import parser_errors
+
 from athrl.study.file import SCORES
 from athrl.study.runs import RunFailed, run_to_end
 from athrl.train.process import ServiceProcess
@@ -33,11 +35,12 @@ def scores_said(lines: Sequence[str]) -> dict[str, float]:
     """Return the scores in the JSON object that is one of these lines, as `evaluated` does.
 
     Raises:
-        RunFailed: there is none.
+        RunFailed: there is none, or it is damaged.
     """
     for line in reversed(lines):
         if line.startswith("{"):
-            return _means(json.loads(line))
+            with parser_errors(lambda reason: RunFailed(f"athrl evaluate printed no scores: {reason}")):
+                return _means(json.loads(line))
     raise RunFailed("athrl evaluate printed no scores")
 
 

@@ -43,7 +43,7 @@ class Search:
     """One worker of a search.
 
     Raises:
-        CommandError: Optuna is not installed.
+        CommandError: Optuna is not installed, or the file of the search cannot be used.
     """
 
     def __init__(self, path: Path, study: StudyFile, folder: StudyFolder, stop: threading.Event, say: Say):
@@ -57,8 +57,9 @@ class Search:
         self._runner = GridRunner(study, folder, stop, say)
         self._locks = folder.path / "trials"
         self._locks.mkdir(exist_ok=True)
-        with self._alone():
-            self._optuna_study = _opened(folder.path / "search.db", study)
+        self._file = folder.path / "search.db"
+        with self._alone(), _file_errors(self._file):
+            self._optuna_study = _opened(self._file, study)
 
     def run(self) -> None:
         """Work on trials until there are as many as are wanted, each ended or in the hands of a worker.
@@ -67,10 +68,11 @@ class Search:
             Stopped: the present trial is drained; the next worker continues it.
             CommandError: the folder cannot be written.
         """
-        while (taken := self._take()) is not None:
-            trial, lock = taken
-            with lock:
-                self._bring_to_its_end(trial)
+        with _file_errors(self._file):
+            while (taken := self._take()) is not None:
+                trial, lock = taken
+                with lock:
+                    self._bring_to_its_end(trial)
 
     def _take(self) -> tuple[optuna.Trial, IO[bytes]] | None:
         """Return an abandoned trial, else the next one, with its lock; None if there are enough."""
@@ -189,7 +191,13 @@ class Search:
             yield
 
     def found(self) -> dict[str, Any]:
-        """Return all trials and the best one, for `search.json`."""
+        """Return all trials and the best one, for `search.json`.
+
+        Raises:
+            CommandError: the file of the search cannot be read.
+        """
+        with _file_errors(self._file):
+            known = self._optuna_study.get_trials(deepcopy=False)
         trials: list[dict[str, Any]] = [
             {
                 "trial": trial.number,
@@ -198,7 +206,7 @@ class Search:
                 "settings": trial.params,
                 "failure": trial.user_attrs.get("failure"),
             }
-            for trial in self._optuna_study.get_trials(deepcopy=False)
+            for trial in known
         ]
         done = [trial for trial in trials if trial["value"] is not None]
         best = max if self._wanted.direction == "maximise" else min
@@ -232,10 +240,26 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+@contextmanager
+def _file_errors(file: Path) -> Iterator[None]:
+    """Turn what Optuna raises inside the block when it cannot use its file into a `CommandError`."""
+    with needs("study"):
+        from optuna.exceptions import StorageInternalError
+        from sqlalchemy.exc import SQLAlchemyError
+    try:
+        yield
+    except (StorageInternalError, SQLAlchemyError) as error:
+        # Optuna's own text is about something else; what SQLite says is in the innermost error.
+        cause = error.__cause__ if isinstance(error, StorageInternalError) else error
+        raise CommandError(
+            f"the file of the search {file} cannot be used: {getattr(cause, 'orig', None) or error}"
+        ) from error
+
+
 def _opened(file: Path, study: StudyFile) -> optuna.Study:
     """Open the search in its SQLite file, new or as others left it."""
-    with needs("study"):
-        import optuna
+    import optuna
+
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     assert study.search is not None
     storage = optuna.storages.RDBStorage(

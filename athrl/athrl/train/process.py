@@ -17,6 +17,9 @@ from athrl.stopping import LIFELINE
 # Numerical libraries start a thread for every core unless told otherwise; the services share the cores.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
+END_SECONDS = 10.0
+"""Within which a process that was killed is gone, unless the kernel waits for a disk in its place."""
+
 
 @dataclass
 class ServiceProcess:
@@ -40,7 +43,11 @@ class ServiceProcess:
     _log_start: int = field(default=0, init=False)
 
     def start(self, extra_arguments: list[str] | None = None) -> None:
-        """Start the process; its output is appended to its log."""
+        """Start the process; its output is appended to its log.
+
+        Raises:
+            CommandError: the log cannot be written, or the system starts no process, such as one too many.
+        """
         environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}
         environment.update(dict.fromkeys(_THREADS, str(self.threads)))
         try:
@@ -50,15 +57,19 @@ class ServiceProcess:
             raise CommandError(f"cannot write {self.log}: {(error.strerror or str(error)).lower()}") from None
         with log:
             self._log_start = log.tell()
-            self._process = subprocess.Popen(
-                [*self.command, *self.arguments, *(extra_arguments or [])],
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=log,
-                env=environment,
-                start_new_session=True,
-                pass_fds=self.kept_open,
-            )
+            try:
+                self._process = subprocess.Popen(
+                    [*self.command, *self.arguments, *(extra_arguments or [])],
+                    stdin=subprocess.PIPE,
+                    stdout=log,
+                    stderr=log,
+                    env=environment,
+                    start_new_session=True,
+                    pass_fds=self.kept_open,
+                )
+            except OSError as error:
+                reason = (error.strerror or str(error)).lower()
+                raise CommandError(f"cannot start {self.name}: {reason}") from None
         self.started_at = time.monotonic()
         if self.niceness:
             os.setpriority(os.PRIO_PROCESS, self._process.pid, self.niceness)
@@ -95,13 +106,20 @@ class ServiceProcess:
                 os.killpg(self._process.pid, signal.SIGKILL)
 
     def end(self) -> None:
-        """End the process and its child processes, and wait for it."""
+        """End the process and its child processes, and wait for it.
+
+        Raises:
+            CommandError: it is still there.
+        """
         if self._process is None:
             return
         self.kill()
-        self._process.wait(timeout=10)
         if self._process.stdin is not None:
             self._process.stdin.close()
+        if not self.wait(END_SECONDS):
+            raise CommandError(
+                f"{self.name} was killed and is still there after {END_SECONDS:g} s: does a disk not answer?"
+            )
 
     def last_lines(self, count: int = 5) -> list[str]:
         """Return the last lines that the newest process wrote."""

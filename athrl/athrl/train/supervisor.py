@@ -140,9 +140,11 @@ class Supervisor:
             service.process.end()
 
     def end(self) -> None:
-        """End all services and wait for them."""
+        """End all services and wait for them; raises CommandError if one is still there."""
         for service in self.services:
             service.finished = True
+        self.kill()  # all of them, before one that does not end is waited for
+        for service in self.services:
             service.process.end()
 
     def kill(self) -> None:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 
 import zenoh
+from athrl_spaces.untrusted import one_line
 
 from athrl_protocol.announcements.presence import PresenceWatcher
 from athrl_protocol.errors import InvalidMessage, LearnerNotFound, ProtocolError
@@ -53,7 +54,7 @@ class _Answers(Closeable):
 
 def serve_changes(session: zenoh.Session, run: str, changes: Sequence[str]) -> Closeable:
     """Tell who asks how the run's settings were changed, in one line each, until the result is closed."""
-    payload = json.dumps([line[:LONGEST_CHANGE] for line in changes[-MOST_CHANGES:]]).encode()
+    payload = json.dumps([one_line(line)[:LONGEST_CHANGE] for line in changes[-MOST_CHANGES:]]).encode()
     return _Answers(session, Keys(run).changes, lambda _: payload)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import zenoh
+from athrl_spaces.untrusted import one_line
 
 from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
 from athrl_protocol.errors import InvalidMessage
@@ -14,6 +15,9 @@ from athrl_protocol.messages import athrl_pb2
 from athrl_protocol.messages.keys import Keys
 from athrl_protocol.messages.limits import LARGEST_NUMBERS
 from athrl_protocol.messages.schema import check_text, decode_message, encode_message
+
+LONGEST_WAITING = 2_000
+"""Characters."""
 
 
 class Phase(Enum):
@@ -35,7 +39,7 @@ class RunState:
         environment_steps_target: decisions at which the run ends.
         updates: of the planner so far.
         policy_version: the newest published one.
-        waiting: which side waits for the other and why; empty if none does.
+        waiting: which side waits for the other and why, in one line; empty if none does.
     """
 
     phase: Phase
@@ -54,14 +58,14 @@ def _encode(state: RunState) -> bytes:
             environment_steps_target=state.environment_steps_target,
             updates=state.updates,
             policy_version=state.policy_version,
-            waiting=state.waiting,
+            waiting=one_line(state.waiting)[:LONGEST_WAITING],  # it may name a folder of any name
         )
     )
 
 
 def _decode(payload: bytes) -> RunState:
     message = decode_message(athrl_pb2.RunState, payload, largest=LARGEST_NUMBERS)
-    check_text("run state", "waiting", message.waiting, longest=2_000)
+    check_text("run state", "waiting", message.waiting, LONGEST_WAITING)
     try:
         phase = Phase(message.phase)
     except ValueError:

@@ -6,8 +6,9 @@ nothing of the service.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from athrl_spaces.first_use import on_first_use
 
 if TYPE_CHECKING:
     from athrl_evaluator.evaluate import EvaluationSettings, evaluate_driver
@@ -22,17 +23,13 @@ __all__ = [
     "run_evaluator",
 ]
 
-_MODULE_OF_NAME = {
-    "EpisodeResult": "scoring.scores",
-    "EvaluationSettings": "evaluate",
-    "Scores": "scoring.scores",
-    "evaluate_driver": "evaluate",
-    "run_evaluator": "evaluator",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import the module of a public name when the name is first used."""
-    if name not in _MODULE_OF_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
+__getattr__ = on_first_use(
+    __name__,
+    {
+        "EpisodeResult": "scoring.scores",
+        "EvaluationSettings": "evaluate",
+        "Scores": "scoring.scores",
+        "evaluate_driver": "evaluate",
+        "run_evaluator": "evaluator",
+    },
+)

@@ -67,13 +67,7 @@ def evaluate_driver(
         EnvironmentFailure: an environment fails or takes longer than `settings.stall_seconds`.
         EvaluatorError: the recordings cannot be written, or a decision is forced but the driver is no policy.
     """
-    section, forced = settings.environment or EnvironmentSection(), settings.forced
-    policy = None if driver in REFERENCE_DRIVERS else _load(driver)
-    if policy is not None:
-        require_fitting(policy.description, section)
-        section = environment_for(policy.description, section)
-    elif forced:
-        raise EvaluatorError(f"--force {forced[0]}: {driver} is no policy, nothing can be forced on it")
+    who, section = fitted(driver, settings.environment or EnvironmentSection(), settings.forced)
     count = min(settings.batch, settings.episodes)
     seeds = range(settings.seed, settings.seed + settings.episodes)
     with ExitStack() as stack:
@@ -81,9 +75,7 @@ def evaluate_driver(
         stack.callback(environments.close)
         labels, results = town_labels(environments.towns), list[EpisodeResult]()
         for town in environments.towns:
-            batch_driver = make_batch_driver(
-                policy if policy is not None else str(driver), count, forced=forced
-            )
+            batch_driver = make_batch_driver(who, count, forced=settings.forced)
             observing = list(observers)
             if record is not None:
                 named = [driver.stem if isinstance(driver, Path) else batch_driver.name]
@@ -98,6 +90,32 @@ def evaluate_driver(
         return score(results)
 
 
+def fitted(
+    driver: OnnxPolicy | Path | str, environment: EnvironmentSection, forced: Sequence[str] = ()
+) -> tuple[OnnxPolicy | str, EnvironmentSection]:
+    """A policy or the name of a reference driver, and the settings of the environments that it drives in.
+
+    A policy drives with the image size and the limits that it was trained for.
+
+    Args:
+        driver: a policy, a policy file, or one of REFERENCE_DRIVERS by name.
+        environment: the settings that are wanted.
+        forced: decisions that are to be forced, each as NAME=VALUE.
+
+    Raises:
+        InvalidPolicy: a file is not a policy, or not the one that the JSON file beside it describes.
+        RunFileError: `environment` names a value that the policy was not made for.
+        EvaluatorError: a decision is to be forced, but the driver is no policy.
+    """
+    if driver in REFERENCE_DRIVERS:
+        if forced:
+            raise EvaluatorError(f"--force {forced[0]}: {driver} is no policy, nothing can be forced on it")
+        return str(driver), environment
+    policy = driver if isinstance(driver, OnnxPolicy) else load_policy(Path(driver))
+    require_fitting(policy.description, environment)
+    return policy, environment_for(policy.description, environment)
+
+
 def make_batch_driver(
     driver: OnnxPolicy | str, count: int, policy_version: int = 0, forced: Sequence[str] = ()
 ) -> BatchDriver:
@@ -109,7 +127,3 @@ def make_batch_driver(
     if isinstance(driver, OnnxPolicy):
         return GreedyPolicy(driver, count, policy_version, read_forced(forced, driver.description))
     return ReferenceDriver(driver, count)
-
-
-def _load(driver: OnnxPolicy | Path | str) -> OnnxPolicy:
-    return driver if isinstance(driver, OnnxPolicy) else load_policy(Path(driver))

@@ -81,8 +81,8 @@ class Recorder(EpisodeObserver):
         with self._given_up_on_write_error():
             self._open[index].finish()
             del self._open[index]
-        if self._kept is not None:
-            prune_recordings(self._folder, self._kept)
+            if self._kept is not None:
+                prune_recordings(self._folder, self._kept)
 
     def close(self) -> None:
         """Discard the recordings of unfinished episodes."""

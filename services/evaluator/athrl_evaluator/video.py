@@ -23,17 +23,14 @@ import imageio_ffmpeg
 import numpy as np
 from athrl_driving.envs import EnvView, TownEnv
 from athrl_driving.envs.settings import action_setting
-from athrl_driving.policy import AnyBatch, OnnxPolicy, environment_config
+from athrl_driving.policy import AnyBatch, environment_config
 from athrl_protocol.run_file import EnvironmentSection
-from athrl_spaces import REFERENCE_DRIVERS
 from athrl_spaces.untrusted import one_line
 from numpy.typing import NDArray
 
 from athrl_evaluator.errors import EvaluatorError, writing
-from athrl_evaluator.evaluate import make_batch_driver
-from athrl_evaluator.policies.files import load_policy
+from athrl_evaluator.evaluate import fitted, make_batch_driver
 from athrl_evaluator.scoring.drivers import BatchDriver
-from athrl_evaluator.scoring.environments import environment_for
 from athrl_evaluator.scoring.episodes import Stopped
 
 SMALLEST_SIZE, LARGEST_SIZE = 64, 4096
@@ -80,11 +77,8 @@ def film(
         EvaluatorError: the file exists, or cannot be written.
         Stopped: `stop` was set before the video was complete; nothing is left of it.
     """
-    policy: OnnxPolicy | str = str(driver) if driver in REFERENCE_DRIVERS else load_policy(Path(driver))
-    section = EnvironmentSection(vehicles=shot.vehicles)
-    if isinstance(policy, OnnxPolicy):
-        section = environment_for(policy.description, section)
-    batch_driver = make_batch_driver(policy, 1)
+    who, section = fitted(driver, EnvironmentSection(vehicles=shot.vehicles))
+    batch_driver = make_batch_driver(who, 1)
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # drawing needs no screen
     env = _environment(section, batch_driver.action_kind, shot)
     try:
@@ -182,6 +176,10 @@ def _written(
                     yield lambda picture: stream.write(picture.tobytes())
                     stream.close()
                 failed = ffmpeg.wait(FINISH_SECONDS) != 0
+            except subprocess.TimeoutExpired:
+                raise EvaluatorError(
+                    f"cannot write {path}: ffmpeg does not complete it within {FINISH_SECONDS:g} s"
+                ) from None
             finally:
                 ffmpeg.kill()
                 ffmpeg.wait()

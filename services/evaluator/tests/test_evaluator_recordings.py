@@ -1,17 +1,21 @@
-"""Recordings are self-describing, complete or marked as unfinished, pruned, and converted to rerun files."""
+"""Recordings are self-describing, complete or marked as unfinished, pruned, and can be drawn by rerun."""
 
+import errno
 import os
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 import rerun_cli
 from athrl_evaluator.dashboard import links_value
+from athrl_evaluator.drawing import APPLICATION, SceneDrawing, make_blueprint
+from athrl_evaluator.errors import EvaluatorError
 from athrl_evaluator.observers import Recorder
+from athrl_evaluator.recording.origin import Origin
 from athrl_evaluator.recording.reading import InvalidRecording, read_frames
 from athrl_evaluator.recording.recordings import EpisodeRecording, prune_recordings
-from athrl_evaluator.recording.rerun_file import draw_recording
 from athrl_evaluator.scoring.drivers import ReferenceDriver
 from athrl_evaluator.scoring.environments import make_batch
 from athrl_evaluator.scoring.episodes import drive_episodes
@@ -19,6 +23,7 @@ from athrl_protocol import Frame
 from athrl_protocol.run_file import EnvironmentSection
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from mcap_protobuf.writer import Writer
 
 ENVIRONMENT = EnvironmentSection(vehicles=5, episode_ticks=40)
 
@@ -111,6 +116,32 @@ def test_an_episode_that_is_given_up_leaves_no_file(tmp_path: Path):
     assert os.listdir(tmp_path) == []
 
 
+def refused(*_: object, **__: object) -> None:
+    """What a disk does that has had errors."""
+    raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+
+def test_a_recording_that_cannot_be_begun_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Writer, "add_metadata", refused)
+    with pytest.raises(EvaluatorError, match=r"^cannot write .*a\.mcap: Read-only file system$"):
+        EpisodeRecording(tmp_path / "a.mcap", Origin(1, {"town": "town02"}, "", "", "", "", ""))
+    assert os.listdir(tmp_path) == []
+
+
+def test_recordings_that_cannot_be_removed_end_no_evaluation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    told: list[str] = []
+    driver = ReferenceDriver("blind", 1)
+    recorder = Recorder(driver, tmp_path, episodes=1, kept=1, warn=told.append)
+    older = tmp_path / "older.mcap"
+    older.touch()
+    os.utime(older, ns=(0, 0))
+    for number in range(2):
+        recorder._open[number] = EpisodeRecording(tmp_path / f"{number}.mcap")
+    monkeypatch.setattr(Path, "unlink", refused)
+    recorder.on_end(0, None)
+    assert told == [f"cannot remove {older}: Read-only file system; this evaluation is not recorded any more"]
+
+
 def test_the_oldest_recordings_are_removed(tmp_path: Path):
     for number in range(6):
         file = tmp_path / f"{number}.mcap"
@@ -136,9 +167,15 @@ def test_a_recording_that_vanishes_while_the_folder_is_read_is_passed_over(
     assert sorted(os.listdir(tmp_path)) == ["1.mcap", "2.mcap"]
 
 
-def test_a_recording_becomes_a_rerun_file_with_the_whole_scene(recorded: tuple[Path, list], tmp_path: Path):
+def test_a_recording_is_drawn_by_rerun_with_the_whole_scene(recorded: tuple[Path, list], tmp_path: Path):
     file = tmp_path / "episode.rrd"
-    draw_recording(recorded[0] / "rule-based-seed-1.mcap", file)
+    stream = rr.RecordingStream(APPLICATION)
+    stream.save(file, default_blueprint=make_blueprint())
+    drawing = SceneDrawing(stream)
+    for frame in read_frames(recorded[0] / "rule-based-seed-1.mcap"):
+        drawing.draw(frame)
+    stream.flush()
+    stream.disconnect()
     paths = entity_paths(file)
     for entity in (
         "/car/ego/body",

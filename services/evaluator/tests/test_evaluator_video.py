@@ -56,6 +56,20 @@ def test_an_episode_that_ends_is_followed_by_the_next(
     assert driven == list(range(3, 3 + len(driven)))
 
 
+def test_a_video_that_is_not_completed_in_time_leaves_nothing_and_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = tmp_path / "ffmpeg"
+    endless.write_text("#!/bin/sh\ncat > /dev/null\nexec sleep 200\n")
+    endless.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(endless))
+    monkeypatch.setattr(video, "FINISH_SECONDS", 0.2)
+    refused = pytest.raises(EvaluatorError, match=r"a.mp4: ffmpeg does not complete it within 0.2 s$")
+    with refused, video._written(tmp_path / "a.mp4", (64, 64), 10.0, overwrite=False) as write:
+        write(np.zeros((64, 64, 3), np.uint8))
+    assert list(tmp_path.iterdir()) == [endless]
+
+
 def test_what_is_there_is_only_replaced_when_told_and_by_a_whole_video(tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(b"mine")

@@ -5,7 +5,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -20,6 +20,7 @@ from athrl_protocol import (
     AddressInUse,
     Frame,
     FramePublisher,
+    LearnerNotFound,
     Phase,
     Presence,
     ProtocolError,
@@ -142,6 +143,17 @@ def test_watching_ends_when_the_viewer_is_closed(learner, port: int, monkeypatch
             assert time.monotonic() < deadline
             publisher.publish(frame(step := step + 1))
             watching.join(0.01)
+
+
+@pytest.mark.parametrize("waiting", ["open_session", "fetch_run_file"])
+def test_a_stop_while_a_learner_is_waited_for_is_no_error(monkeypatch: pytest.MonkeyPatch, waiting: str):
+    def stopped(*_: object, stop: threading.Event, **__: object) -> None:
+        stop.set()
+        raise LearnerNotFound("no learner")
+
+    monkeypatch.setattr(f"{watch.__module__}.open_session", lambda **_: nullcontext())
+    monkeypatch.setattr(f"{watch.__module__}.{waiting}", stopped)
+    watch(connect="tcp/127.0.0.1:1", run=None, server=Server(1), stop=threading.Event())
 
 
 def test_a_server_tells_the_address_at_which_it_is_published(port: int, monkeypatch: pytest.MonkeyPatch):

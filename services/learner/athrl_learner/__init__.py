@@ -6,8 +6,9 @@ used. `log` and `files` need none.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from athrl_spaces.first_use import on_first_use
 
 from athrl_learner.errors import (
     CannotResume,
@@ -35,16 +36,12 @@ __all__ = [
     "run_learner",
 ]
 
-_MODULE_OF_NAME = {
-    "SamplesPerInsert": "intake.limiter",
-    "Summary": "run",
-    "check_run": "run",
-    "run_learner": "run",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import the module of a public name when the name is first used."""
-    if name not in _MODULE_OF_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
+__getattr__ = on_first_use(
+    __name__,
+    {
+        "SamplesPerInsert": "intake.limiter",
+        "Summary": "run",
+        "check_run": "run",
+        "run_learner": "run",
+    },
+)

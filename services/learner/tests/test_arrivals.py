@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 from athrl_learner.intake.arrivals import NAMED, Arrivals
 from athrl_protocol.announcements.metrics import decode_metrics
@@ -38,3 +40,26 @@ def test_policy_that_the_learner_did_not_publish_is_named_and_counted(make_chunk
     arrivals.arrived(make_chunk(policy_version=padding, length=4))
     assert arrivals.unpublished == 2
     assert caplog.messages == ["actor-1 drives policy 999, which this learner did not publish"]
+
+
+def test_policy_is_not_published_in_the_middle_of_noting_a_chunk(make_chunk):
+    """What is iterated over there would change, which would end the intake."""
+    middles = []
+
+    def clock() -> float:
+        if noting:
+            noting.clear()
+            publication = threading.Thread(target=arrivals.published, args=(2,))
+            publication.start()
+            publication.join(0.05)
+            middles.append((arrivals.published_version, publication))
+        return 1.0
+
+    noting: list[bool] = []
+    arrivals = Arrivals(clock)
+    arrivals.published(1)
+    noting.append(True)
+    arrivals.arrived(make_chunk())
+    ((version, publication),) = middles
+    publication.join(10)
+    assert (version, arrivals.published_version) == (1, 2)

@@ -247,6 +247,16 @@ def test_a_checkpoint_frees_the_segments_that_none_needs(tmp_path):
     assert list(numbered_segments(log.folder)) == [5, 6, 7, 8]
 
 
+def test_a_checkpoint_that_fails_in_whatever_way_while_training_continues_is_counted(tmp_path, caplog):
+    log = SegmentLog(tmp_path / "experience", segment_bytes=1, fsync="never")
+    best = BestCheckpoint(tmp_path / "checkpoints")
+    checkpointer = Checkpointer(tmp_path / "checkpoints", log, best, seconds=1e9, kept=2)
+    checkpointer.write_in_background(dataclasses.replace(content(1), state={"number": object()}))
+    assert checkpointer.wait()
+    assert (checkpointer.written, checkpointer.failed) == (0, 1)
+    assert caplog.messages == ["a checkpoint was not written; training continues"]
+
+
 WRITE_AND_KILL = """
 import json, os, signal, sys, time
 from pathlib import Path

@@ -7,10 +7,11 @@ import time
 import pytest
 from athrl_learner import factories
 from athrl_learner.components import make_experience
-from athrl_learner.errors import Deadlock
+from athrl_learner.errors import Deadlock, DiskFull
 from athrl_learner.intake.arrivals import Arrivals
 from athrl_learner.intake.store import ExperienceStore
 from athrl_learner.intake.waiting import WaitingTime, waiting_text
+from athrl_learner.log.disk_space import DiskSpace
 from athrl_protocol import Chunk, IntakeBusy, IntakeFinished, InvalidMessage
 
 
@@ -172,6 +173,21 @@ def test_one_side_that_waits_for_long_is_no_deadlock(store, make_chunk, accept):
     while store.sample(timeout=0) is not None:
         pass
     now = 2000.0
+    store.require_progress(60.0)
+
+
+def test_actors_that_leave_while_the_disk_is_full_are_no_deadlock(store, make_chunk, accept, monkeypatch):
+    def full(*_: object) -> int:
+        raise DiskFull("the disk is full")
+
+    now = 0.0
+    store.actors_waiting, store.learner_waiting = (WaitingTime(clock=lambda: now) for _ in range(2))
+    store.disk_space = DiskSpace(clock=lambda: now)
+    monkeypatch.setattr(store.log, "append", full)
+    with pytest.raises(IntakeBusy, match="intake is paused"):
+        accept(store, make_chunk())
+    assert store.sample(timeout=0) is None
+    now = 600.0
     store.require_progress(60.0)
 
 

@@ -1,1 +1,1 @@
-"""Episodes as MCAP files, and as rerun files made from these."""
+"""Episodes as MCAP files."""

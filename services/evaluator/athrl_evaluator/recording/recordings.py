@@ -18,7 +18,7 @@ from mcap.writer import CompressionType
 from mcap_protobuf.writer import Writer
 from numpy.typing import NDArray
 
-from athrl_evaluator.errors import writing
+from athrl_evaluator.errors import EvaluatorError, writing
 from athrl_evaluator.recording.foxglove_messages import foxglove_messages
 from athrl_evaluator.recording.origin import METADATA, Origin
 
@@ -37,14 +37,17 @@ class EpisodeRecording:
         """
         self.path = path
         self._part = path.with_name(path.name + ".part")
+        self._began = time.time_ns()
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self._part.open("wb")
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._began = time.time_ns()
-        if origin is not None:
-            with writing(path):
-                self._writer.add_metadata(METADATA, origin.metadata())
+            try:
+                self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+                if origin is not None:
+                    self._writer.add_metadata(METADATA, origin.metadata())
+            except OSError:
+                self.abandon()
+                raise
 
     def write(self, frame: Frame, action: NDArray[np.float32] | None = None) -> None:
         """Add one frame and the action, float32 [2], that led to it.
@@ -68,25 +71,29 @@ class EpisodeRecording:
             self._part.replace(self.path)
 
     def abandon(self) -> None:
-        """Remove the unfinished file."""
+        """Remove the unfinished file, as far as the disk lets it."""
         with suppress(OSError):  # buffered data does not fit on a full disk either
             self._stream.close()
-        self._part.unlink(missing_ok=True)
+        with suppress(OSError):  # a disk with errors can often only be read any more
+            self._part.unlink(missing_ok=True)
 
     def _write(self, topic: str, message: object, log_time: int) -> None:
         self._writer.write_message(topic=topic, message=message, log_time=log_time, publish_time=log_time)
 
 
 def newest_recordings(folder: Path) -> list[Path]:
-    """The recordings of a folder, the newest first; one that vanishes meanwhile is passed over."""
+    """The recordings of a folder, the newest first; one that cannot be looked at is passed over."""
     ages = []
     for path in folder.glob("*.mcap"):
-        with suppress(FileNotFoundError):  # somebody else may clear up as well
+        with suppress(OSError):  # such as one that somebody else has cleared away
             ages.append((path.stat().st_mtime_ns, path.name, path))
     return [path for _, _, path in sorted(ages, reverse=True)]
 
 
 def prune_recordings(folder: Path, kept: int) -> None:
-    """Remove all but the newest `kept` recordings of a folder."""
+    """Remove all but the newest `kept` recordings of a folder; raises EvaluatorError if one stays."""
     for path in newest_recordings(folder)[kept:]:
-        path.unlink(missing_ok=True)
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise EvaluatorError(f"cannot remove {path}: {error.strerror}") from None

@@ -89,11 +89,11 @@ def watch(
         patience = NetworkSection().patience
         try:
             session = stack.enter_context(open_session(connect=connect, timeout=patience, stop=stop))
+            run = fetch_run_file(session, run, timeout=patience, stop=stop).run.name
         except LearnerNotFound:
             if stop.is_set():
                 return
             raise
-        run = fetch_run_file(session, run, timeout=patience, stop=stop).run.name
         over = _end_detector(session, run, role, name, stack)
         stream, closed, address = stack.enter_context(viewer_of(server))
         stack.enter_context(subscribe_frames(session, run, role, name, frames.put))

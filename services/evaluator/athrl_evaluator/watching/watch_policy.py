@@ -10,17 +10,14 @@ from itertools import count, islice
 from pathlib import Path
 
 import rerun as rr
-from athrl_driving.policy import OnnxPolicy
 from athrl_protocol.run_file import EnvironmentSection
-from athrl_spaces import REFERENCE_DRIVERS
 
 from athrl_evaluator.drawing import APPLICATION, SceneDrawing, make_blueprint
-from athrl_evaluator.errors import EvaluatorError, writing
-from athrl_evaluator.evaluate import make_batch_driver
-from athrl_evaluator.policies.files import load_policy
+from athrl_evaluator.errors import writing
+from athrl_evaluator.evaluate import fitted, make_batch_driver
 from athrl_evaluator.recording.frames import frame_of_step
 from athrl_evaluator.scoring.drivers import BatchDriver
-from athrl_evaluator.scoring.environments import environment_for, make_batch, require_fitting
+from athrl_evaluator.scoring.environments import make_batch
 from athrl_evaluator.scoring.episodes import EpisodeObserver, EpisodeStep, Stopped, drive_episodes
 from athrl_evaluator.watching.browser import tell
 from athrl_evaluator.watching.viewer import Server
@@ -97,13 +94,8 @@ def watch_policy(
         EnvironmentFailure: an environment failed.
         ProtocolError: there is no screen, or a port is taken.
     """
-    policy: OnnxPolicy | str = str(driver) if driver in REFERENCE_DRIVERS else load_policy(Path(driver))
-    if isinstance(policy, OnnxPolicy):
-        require_fitting(policy.description, environment)
-        environment = environment_for(policy.description, environment)
-    elif forced:
-        raise EvaluatorError(f"--force {forced[0]}: {driver} is no policy, nothing can be forced on it")
-    batch_driver = make_batch_driver(policy, 1, forced=forced)
+    who, environment = fitted(driver, environment, forced)
+    batch_driver = make_batch_driver(who, 1, forced=forced)
     with ExitStack() as stack:
         # The viewer first: errors of screen or port are reported before the environments are made.
         if save is not None:

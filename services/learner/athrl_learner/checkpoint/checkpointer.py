@@ -89,6 +89,9 @@ class Checkpointer:
         except CheckpointFailed as error:
             self.failed += 1
             self._warn(f"{error}; training continues")
+        except Exception:  # a bug, or lack of memory: nobody would notice that the thread has ended
+            self.failed += 1
+            log.exception("a checkpoint was not written; training continues")
 
     def _write(self, content: CheckpointContent) -> Path:
         began = time.monotonic()
@@ -106,6 +109,8 @@ class Checkpointer:
         """Remove what no kept checkpoint needs; what cannot be removed only costs space."""
         try:
             kept = remove_unneeded(self._folder, self._kept, self._best, self._files)
+            needed = needed_segments(kept.newest, kept.others)
+            self._experience.keep_only(needed.oldest, needed.named)
         except OSError as error:
             self._warn(f"cannot clear {self._folder} of old checkpoints: {error.strerror}")
             return
@@ -115,5 +120,3 @@ class Checkpointer:
                 "the best checkpoint by the evaluator's scores is %s",
                 kept.best or "not known: no score was received",
             )
-        needed = needed_segments(kept.newest, kept.others)
-        self._experience.keep_only(needed.oldest, needed.named)

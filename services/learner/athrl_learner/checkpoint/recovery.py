@@ -171,13 +171,13 @@ class Recovery:
             if path is None:
                 self._warn(f"segment {number} of {self._store.log.folder} is missing")
             else:
-                yield from self._records_of(SegmentReader(path, number, self._expected), number, path)
+                yield from self._records_of(SegmentReader(path, number, self._expected), number)
             if number in named:
                 self._count_missing_before(named[number].first + named[number].records)
                 if path is not None and self._facts[-1].records == named[number].records:
                     _compare(path, self._facts[-1], named[number])
 
-    def _records_of(self, reader: SegmentReader, number: int, path: Path) -> Iterator[Record]:
+    def _records_of(self, reader: SegmentReader, number: int) -> Iterator[Record]:
         self._count_missing_before(reader.first)
         truncated_at: int | None = None
         for item in reader:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import logging
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +31,10 @@ class _Actor:
 
 
 class Arrivals:
-    """Keeps the newest values of each actor. Not thread-safe: the store calls it under its lock."""
+    """Keeps the newest values of each actor.
+
+    Chunks arrive in the intake's thread, policies are published in the trainer's.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.published_version = 0
@@ -39,16 +43,22 @@ class Arrivals:
         self._published_at: dict[int, float] = {}  # by version, of this learner's publications
         self._clock = clock
         self._actors: dict[str, _Actor] = {}
+        self._lock = threading.Lock()
 
     def published(self, version: int) -> None:
         """Record the publication of a policy."""
-        self.published_version = version
-        self._published_at[version] = self._clock()
-        if len(self._published_at) > _REMEMBERED:
-            del self._published_at[next(iter(self._published_at))]
+        with self._lock:
+            self.published_version = version
+            self._published_at[version] = self._clock()
+            if len(self._published_at) > _REMEMBERED:
+                del self._published_at[next(iter(self._published_at))]
 
     def arrived(self, chunk: Chunk) -> None:
         """Record an accepted chunk."""
+        with self._lock:
+            self._record(chunk)
+
+    def _record(self, chunk: Chunk) -> None:
         newest = int(chunk.policy_version[: chunk.length].max())
         if newest > self.published_version:
             self.unpublished += 1
@@ -73,6 +83,10 @@ class Arrivals:
         These are `policy_lag/NAME`, `policy_lag_seconds/NAME` and `transitions/NAME`; of more than `NAMED`
         actors only those that are furthest behind.
         """
+        with self._lock:
+            return self._metrics()
+
+    def _metrics(self) -> dict[str, float]:
         now = self._clock()
         self._actors = {
             name: actor for name, actor in self._actors.items() if now - actor.last_chunk_at <= SILENCE
