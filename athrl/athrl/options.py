@@ -57,7 +57,7 @@ ConnectOption = Annotated[
         envvar="ATHRL_CONNECT",
         metavar="ADDRESS",
         callback=lambda given: find_learner(given),
-        help="Address of the learner or of a router, or the folder of a run that was submitted.",
+        help="Address of the learner or of a router, or the folder of a run that has the learner's address.",
         rich_help_panel=WHERE,
     ),
 ]

@@ -211,12 +211,12 @@ class QLearningSettings(PlannerSettings):
 
     double: bool = Field(
         default=True,
-        description="Double DQN: the online network chooses the action for the target value; false is the "
-        "paper.",
+        description="Double DQN: the online network chooses the action for the target value; false: plain "
+        "DQN.",
     )
     dueling: bool = Field(
         default=True,
-        description="Dueling heads: value of the state and advantages of choices; false is the paper.",
+        description="Dueling heads: value of the state and advantages of choices; false: plain DQN.",
     )
     epsilon_low: float = Field(
         default=0.02,

@@ -25,7 +25,7 @@ TRY_AGAIN = os.EX_TEMPFAIL
 """Exit code of a service that has no learner: 75, as of other programs whose service is away for now."""
 
 SILENT_SECONDS = 300.0
-"""For so long a learner that was there may be away; a first one has the run's `network.patience`."""
+"""For so long a learner that was there may be away; a first one is waited for as without a folder, 30 s."""
 
 POLL_SECONDS = 0.2
 

@@ -48,7 +48,11 @@ def submit(
     cpus: Annotated[int, typer.Option(min=1, help="Cores of the learner.", rich_help_panel=_JOBS)] = 4,
     gpus: Annotated[
         str,
-        typer.Option(metavar="[TYPE:]N", help="GPUs of the learner, such as a100:1.", rich_help_panel=_JOBS),
+        typer.Option(
+            metavar="[TYPE:]N",
+            help="GPUs of the learner, such as a100:1; also set learner.device=cuda.",
+            rich_help_panel=_JOBS,
+        ),
     ] = "",
     partition: Annotated[
         str | None, typer.Option(help="Partition of all jobs.", rich_help_panel=_JOBS)

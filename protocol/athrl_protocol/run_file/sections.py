@@ -328,7 +328,8 @@ class NetworkSection(Section):
         default=30.0,
         gt=0,
         le=LONGEST_SECONDS,
-        description="Seconds that a service waits for an absent learner before it reports that.",
+        description="Seconds after which an actor logs that no policy has come, or that the learner takes "
+        "nothing.",
     )
 
     @field_validator("listen")
