@@ -171,7 +171,7 @@ def test_the_papers_study_has_its_four_planners_and_is_run_by_its_recipe() -> No
         assert run.settings.run.environment_steps == 40_000
 
 
-@pytest.mark.parametrize(("name", "count"), [("default", 44), ("generalisation", 12), ("ablations", 24)])
+@pytest.mark.parametrize(("name", "count"), [("default", 44), ("generalisation", 15), ("ablations", 24)])
 def test_the_studies_of_the_results_page_can_be_run(name: str, count: int) -> None:
     study, runs = read(ROOT / "studies" / f"{name}.toml")
     assert study.study.name == name
@@ -291,3 +291,11 @@ def test_search_whose_file_is_damaged_ends_with_one_line(tmp_path: Path) -> None
     for use in (search.run, search.found, begin):
         with pytest.raises(CommandError, match=told):
             use()
+
+
+def test_random_towns_with_numbers_in_a_row_are_told_in_short(tmp_path: Path) -> None:
+    towns = ["town02", "random-1", "random-2", "random-3", "random-9", "random-8"]
+    _, runs = read(written(tmp_path, changed(planners=["athrl"], towns=[towns])))
+    assert runs[0].row.town == "town02+random-1..3+random-9+random-8"
+    assert runs[0].name == "athrl-town02-random-1--3-random-9-random-8-1"
+    assert list(runs[0].settings.environment.towns) == towns

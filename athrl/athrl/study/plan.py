@@ -6,12 +6,14 @@ import hashlib
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path, PurePath
 
 from athrl_protocol import RunFileError
 from athrl_protocol.run_file import RunFile, read_run_file
 from athrl_protocol.run_file.planner_tables import kind_error
 from athrl_protocol.run_file.toml_values import show, to_toml_value
+from athrl_spaces import town_seed
 
 from athrl.errors import CommandError, needs
 from athrl.study.file import MOST_RUNS, GridSection, StudyFile, StudyFileError
@@ -30,8 +32,8 @@ class Row:
 
     @property
     def town(self) -> str:
-        """The towns in one word, such as `town02+town04`."""
-        return "+".join(self.towns)
+        """The towns in one word, such as `town02+town04` or `town03+random-1..9`."""
+        return "+".join(_shortened(self.towns))
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,22 @@ def run_name(row: Row, seed: int) -> str:
 
 
 def _label(row: Row) -> str:
-    return "+".join(PurePath(town).stem for town in row.towns)
+    return "+".join(_shortened([PurePath(town).stem for town in row.towns]))
+
+
+def _shortened(towns: Sequence[str]) -> list[str]:
+    """Return the towns' names; random towns whose numbers follow each other are one, `random-1..9`."""
+
+    def together(place_and_name: tuple[int, str]) -> object:
+        place, name = place_and_name
+        seed = town_seed(name)
+        return name if seed is None else seed - place
+
+    found: list[str] = []
+    for _, group in groupby(enumerate(towns), together):
+        names = [name for _, name in group]
+        found.append(names[0] if len(names) == 1 else f"{names[0]}..{town_seed(names[-1])}")
+    return found
 
 
 def require_town(place: str, town: str) -> None:
