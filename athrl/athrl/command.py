@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Annotated, Any, NamedTuple
 
 import typer
+from athrl_spaces.system_errors import system_reason
 
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
 from athrl.output import accept_any_text, discard_output, flush_output, start_log
@@ -125,7 +126,7 @@ def _run() -> int:
         say(error)
         return EXPECTED_ERROR
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
+        reason = system_reason(error)
         if error.errno in _OF_PATHS:  # of a path in the command line that is only looked up
             say(f"{error.filename}: {reason}")
         elif error.errno in _OF_DISKS:

@@ -8,6 +8,8 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from athrl_spaces.system_errors import system_reason
+
 from athrl.errors import CommandError
 
 COMMANDS = ("sbatch", "squeue", "scancel", "scontrol")
@@ -129,9 +131,7 @@ def _call(words: list[str], given: str | None = None) -> str:
             "scontrol ping tells"
         ) from None
     except OSError as error:
-        raise CommandError(
-            f"Slurm: cannot run {words[0]}: {(error.strerror or str(error)).lower()}"
-        ) from None
+        raise CommandError(f"Slurm: cannot run {words[0]}: {system_reason(error)}") from None
     if done.returncode:
         raise CommandError(f"Slurm: {_complaint(words[0], done.stderr) or f'{words[0]} failed'}")
     return done.stdout

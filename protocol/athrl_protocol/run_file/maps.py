@@ -11,6 +11,7 @@ import os
 from pathlib import Path
 
 from athrl_spaces import is_town
+from athrl_spaces.system_errors import system_reason
 
 from athrl_protocol.errors import RunFileError
 from athrl_protocol.run_file.root import RunFile
@@ -87,4 +88,4 @@ def _checksum(path: Path) -> str:
     except FileNotFoundError:
         raise RunFileError(f"environment.towns: {path}: there is no such file on this machine") from None
     except OSError as error:
-        raise RunFileError(f"environment.towns: {path}: cannot be read: {error.strerror}") from None
+        raise RunFileError(f"environment.towns: {path}: cannot be read: {system_reason(error)}") from None

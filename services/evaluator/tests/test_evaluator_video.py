@@ -88,7 +88,7 @@ def test_what_is_there_is_only_replaced_when_told_and_by_a_whole_video(tmp_path:
 def test_a_video_that_cannot_be_written_leaves_nothing_and_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(EvaluatorError, match=r"cannot write .*gone/a.mp4: No such file or directory"):
+    with pytest.raises(EvaluatorError, match=r"cannot write .*gone/a.mp4: no such file or directory"):
         film("blind", SHOT, tmp_path / "gone" / "a.mp4", threading.Event())
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/no/such/ffmpeg")
     with pytest.raises(EvaluatorError, match=r"^there is no program /no/such/ffmpeg that can be run: "):
