@@ -8,8 +8,8 @@ from pathlib import Path
 
 from athrl_protocol.errors import ProtocolError
 from athrl_protocol.security.certificates import read_certificate_file
-from athrl_spaces.system_errors import system_reason
 from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.wording import system_reason
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import NameOID

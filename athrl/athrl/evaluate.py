@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 from athrl_protocol.run_file import EnvironmentSection, RunFile
 from athrl_spaces import CASE_STUDIES, REFERENCE_DRIVERS
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 from rich.console import Console
 from rich.table import Table
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from athrl_spaces.system_errors import system_reason
 from athrl_spaces.untrusted import one_line
+from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError, needs
 from athrl.evaluate import check_town

@@ -17,7 +17,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 PARSER_ERRORS: tuple[type[Exception], ...] = (
     ArithmeticError,  # a number too large, or a division by zero

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from athrl_protocol.run_file import RunFile
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl.doctor.finding import Finding, failed, ok, warning
 from athrl.runs import run_folder

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from athrl_learner import CannotResume
 from athrl_protocol.faults.bounded_log import RareLog
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 log = logging.getLogger(__name__)
 

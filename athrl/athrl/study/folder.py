@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from athrl_spaces.system_errors import system_reason
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_untrusted
+from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError
 from athrl.study.file import StudyFile

@@ -185,7 +185,7 @@ class Search:
                 except BlockingIOError:
                     if time.monotonic() > deadline:
                         raise CommandError(
-                            f"another worker has held {lock.name} for {LOCK_SECONDS:.0f} s, end it"
+                            f"another worker has held {lock.name} for {LOCK_SECONDS:.0f} s: stop it"
                         ) from None
                     time.sleep(POLL_SECONDS)
             yield

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError
 
@@ -128,7 +128,7 @@ def _call(words: list[str], given: str | None = None) -> str:
     except subprocess.TimeoutExpired:
         raise CommandError(
             f"Slurm: {words[0]} did not answer within {ANSWER_SECONDS:g} s: is its controller up? "
-            "scontrol ping tells"
+            "see scontrol ping"
         ) from None
     except OSError as error:
         raise CommandError(f"Slurm: cannot run {words[0]}: {system_reason(error)}") from None

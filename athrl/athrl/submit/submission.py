@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl.certificate_files import write_file
 from athrl.certificates import complete

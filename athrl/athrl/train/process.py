@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError
 from athrl.stopping import LIFELINE
@@ -120,7 +120,7 @@ class ServiceProcess:
             self._process.stdin.close()
         if not self.wait(END_SECONDS):
             raise CommandError(
-                f"{self.name} was killed and is still there after {END_SECONDS:g} s: does a disk not answer?"
+                f"{self.name} was killed and still runs after {END_SECONDS:g} s: does a disk not answer?"
             )
 
     def last_lines(self, count: int = 5) -> list[str]:

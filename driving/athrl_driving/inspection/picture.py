@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pygame
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 from numpy.typing import NDArray
 
 from athrl_driving.errors import DrivingError

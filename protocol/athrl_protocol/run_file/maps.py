@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 
 from athrl_spaces import is_town
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_protocol.errors import RunFileError
 from athrl_protocol.run_file.root import RunFile

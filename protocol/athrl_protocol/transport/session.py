@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import zenoh
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
 from athrl_protocol.messages.limits import LARGEST_CHUNK, LARGEST_POLICY

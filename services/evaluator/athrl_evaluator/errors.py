@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 
 class EvaluatorError(RuntimeError):

@@ -76,7 +76,7 @@ def test_curves_have_a_gap_where_the_disk_was_full_and_continue_after_it(small_d
     (small_disk / "rest").write_bytes(bytes(shutil.disk_usage(small_disk).free))
     for step in range(50):
         files.add("learner", {"loss": float(step)}, step, 1.0)
-    assert caplog.text.count("no space left on device; curves go on when it can") == 1
+    assert caplog.text.count("no space left on device; curves continue when it can be written") == 1
     ballast.unlink()
     files.add("learner", {"loss": 7.0}, 100, 2.0)
     read = EventAccumulator(str(small_disk / "tensorboard"))

@@ -11,8 +11,8 @@ from pathlib import Path
 from athrl_planners import PolicyExporter
 from athrl_protocol import PolicyUpdate
 from athrl_spaces.policy import LARGEST_ARTEFACT
-from athrl_spaces.system_errors import system_reason
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_json
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import WrongPlanner
 from athrl_learner.intake.arrivals import Arrivals

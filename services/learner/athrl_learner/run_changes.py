@@ -15,8 +15,8 @@ from athrl_protocol.faults.bounded_log import BoundedLog, shortened
 from athrl_protocol.run_file import saved_toml
 from athrl_protocol.run_file.document import read_document
 from athrl_protocol.run_file.toml_values import to_toml_value
-from athrl_spaces.system_errors import system_reason
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_untrusted
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import LearnerError
 from athrl_learner.run_folder import RunFolder, write_atomically

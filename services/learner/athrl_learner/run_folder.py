@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
 from athrl_learner.files import Files, write_whole

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from athrl_protocol import Frame, encode_frame
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
 from mcap.writer import CompressionType
 from mcap_protobuf.writer import Writer

@@ -13,7 +13,7 @@ from typing import Any
 
 from athrl_protocol import EvaluationResult
 from athrl_protocol.faults.bounded_log import RareLog
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_evaluator.errors import writing
 

@@ -23,7 +23,7 @@ from urllib.parse import quote
 
 import rerun_cli  # type: ignore[import-untyped]
 from athrl_protocol import AddressInUse, ProtocolError
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 START_SECONDS = 30.0
 END_SECONDS = 5.0

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent, remove_unneeded, write_checkpoint
 from athrl_learner.errors import CheckpointFailed, LogFailed

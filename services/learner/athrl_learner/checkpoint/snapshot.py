@@ -11,8 +11,8 @@ import torch
 from athrl_planners import Agent
 from athrl_protocol import RunFile
 from athrl_protocol.delivery.ledger import Ledger
-from athrl_spaces.system_errors import system_reason
 from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.checkpoint import CheckpointContent
 from athrl_learner.checkpoint.recovery import LaterExperience, Recovery

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.checkpoint.content import (
     ACTOR,

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import DiskFull, LogFailed
 from athrl_learner.files import NO_SPACE, Files, WritableFile

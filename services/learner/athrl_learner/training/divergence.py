@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from athrl_planners import Batch
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.checkpoint.content import numbered_checkpoints
 from athrl_learner.errors import Diverged

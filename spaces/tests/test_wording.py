@@ -1,4 +1,4 @@
-"""Why the system refused something is said in one way everywhere."""
+"""Messages of all rooms say the same thing in the same words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import socket
 
 import pytest
-from athrl_spaces.system_errors import system_reason
+from athrl_spaces.wording import counted, system_reason
 
 
 @pytest.mark.parametrize(
@@ -24,3 +24,12 @@ from athrl_spaces.system_errors import system_reason
 )
 def test_reason_is_the_words_of_the_system_or_else_of_who_raised_it(error: OSError, reason: str) -> None:
     assert system_reason(error) == reason
+
+
+def test_one_thing_is_no_plural() -> None:
+    assert [counted(number, "episode") for number in (0, 1, 2, 2_000)] == [
+        "0 episodes",
+        "1 episode",
+        "2 episodes",
+        "2,000 episodes",
+    ]

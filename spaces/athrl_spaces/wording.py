@@ -1,4 +1,4 @@
-"""Errors of the operating system, as the last words of a message in one line."""
+"""Words that messages to people have in common."""
 
 from __future__ import annotations
 
@@ -12,3 +12,8 @@ def system_reason(error: OSError) -> str:
     if error.strerror:
         return error.strerror.lower()
     return str(error) or type(error).__name__
+
+
+def counted(number: int, thing: str) -> str:
+    """Return how many there are of a thing that has a regular plural: "1 episode", "2,000 episodes"."""
+    return f"{number:,} {thing}" + ("" if number == 1 else "s")
