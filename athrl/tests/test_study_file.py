@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import sqlite3
 import threading
 import tomllib
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -277,17 +279,42 @@ def test_several_workers_of_a_search_share_a_folder(begun: StudyFolder) -> None:
         pass
 
 
+def search_in(folder: Path) -> Search:
+    """Begin or continue a search in a folder."""
+    path = written(folder, GOOD | {"search": SEARCH})
+    return Search(path, read(path)[0], StudyFolder(folder), threading.Event(), lambda line: None)
+
+
+def test_failed_run_fails_its_trial_and_a_folder_that_cannot_be_written_ends_the_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, results = search_in(tmp_path), iter([{"failure": "ended with code 2"}])
+
+    def run(*_: object) -> dict[str, Any]:
+        for result in results:
+            return result
+        raise CommandError("cannot write results/t0001.json: no space left on device")
+
+    monkeypatch.setattr("athrl.study.search.GridRunner.run", run)
+    with pytest.raises(CommandError, match=r"^cannot write results/t0001\.json: no space left on device$"):
+        search.run()
+    trials = search.found()["trials"]
+    assert [trial["state"] for trial in trials] == ["fail", "running"]  # another worker continues that
+    assert trials[0]["failure"].endswith(": ended with code 2")
+
+
+def test_search_of_another_version_of_optuna_ends_with_one_line(tmp_path: Path) -> None:
+    search_in(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "search.db")) as tables, tables:
+        tables.execute("UPDATE alembic_version SET version_num = 'v9.0.0.a'")
+    with pytest.raises(CommandError, match=r"^the file of the search .*search\.db is of another version of"):
+        search_in(tmp_path)
+
+
 def test_search_whose_file_is_damaged_ends_with_one_line(tmp_path: Path) -> None:
-    path = written(tmp_path, GOOD | {"search": SEARCH})
-    study, _ = read(path)
-    folder = StudyFolder(tmp_path)
-
-    def begin() -> Search:
-        return Search(path, study, folder, threading.Event(), lambda line: None)
-
-    search = begin()
+    search = search_in(tmp_path)
     (tmp_path / "search.db").write_bytes(b"damaged" * 2000)
     told = "^the file of the search .*search.db cannot be used: file is not a database$"
-    for use in (search.run, search.found, begin):
+    for use in (search.run, search.found, lambda: search_in(tmp_path)):
         with pytest.raises(CommandError, match=told):
             use()
