@@ -83,7 +83,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         (changed(towns=["town3"]), "there is no town named 'town3', did you mean 'town03'?"),
         (changed(settings=["learner.bach=64"]), "learner.bach is no setting; did you mean learner.batch?"),
         (changed(settings=["run.seed=7"]), "the study sets run.seed of each run itself, leave it out"),
-        (changed(planners=["ddpg", "ddpg"]), '"ddpg" is there twice, it should be there once'),
+        (changed(planners=["ddpg", "ddpg"]), '"ddpg" appears twice, it should appear once'),
         (changed(run_file="../{pilot}.toml"), "should be a path that has {planner} and {town} alone"),
         (changed(run_file="no-such-{planner}.toml"), "no-such-ddpg.toml: cannot be read"),
         (changed(town="town03"), "grid.0.town is no key of a study"),
@@ -92,7 +92,7 @@ def changed(**changes: Any) -> dict[str, Any]:
             "has 12,000 runs, should have at most",
         ),
         (changed(towns=["town02", ["town02", "town3"]]), "there is no town named 'town3'"),
-        (changed(towns=[["town02", "town02"]]), '"town02" is there twice'),
+        (changed(towns=[["town02", "town02"]]), '"town02" appears twice'),
         (elsewhere(town="town3"), "elsewhere.0.town: there is no town named 'town3', did you mean 'town03'?"),
         (elsewhere(town="town03", vehicles=5000), "elsewhere.0.vehicles = 5000: town03 has room for"),
         (elsewhere(case_study="roundabut"), '"roundabut" is no case study, it should be roundabout'),
@@ -101,7 +101,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         (elsewhere(case_study="roundabout", vehicles=3), "a case study has its own vehicles"),
         (
             {**GOOD, "elsewhere": 2 * elsewhere(town="town02")["elsewhere"]},
-            'elsewhere.1.name: "there" is there twice, it should be there once',
+            'elsewhere.1.name: "there" appears twice, it should appear once',
         ),
         ({"study": GOOD["study"]}, "grid is missing"),
         ({**GOOD, "study": {"name": "one", "seeds": []}}, "study.seeds = []: "),
@@ -109,7 +109,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         ({**GOOD, "study": {"name": "one", "drivers": ["rulebased"]}}, '"rulebased" is no driver'),
         (
             {**GOOD, "grid": [*GOOD["grid"], {"planners": ["ddpg"], "towns": ["town03"], "seeds": [2]}]},
-            "ddpg in town03 with seed 2 is there twice as ddpg-town03-2, it should be there once",
+            "ddpg in town03 with seed 2 appears twice as ddpg-town03-2, it should appear once",
         ),
     ],
 )

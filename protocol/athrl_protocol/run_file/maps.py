@@ -32,7 +32,7 @@ def with_whole_maps(run_file: RunFile) -> RunFile:
     for name, share in run_file.environment.towns.items():
         path = _whole_path(name)
         if path in towns:
-            raise RunFileError(f"environment.towns: {path} is there twice, should have each town once")
+            raise RunFileError(f"environment.towns: {path} appears twice, should have each town once")
         towns[path] = share
     try:
         towns = read_towns(towns)
