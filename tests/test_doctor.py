@@ -108,7 +108,7 @@ def test_live_run_is_described(command, doctor, tiny: list[str], port: int) -> N
     assert code == 0, report
     assert "run patient" in of(report, "release")["seen"]
     assert of(report, "present")["level"] == "warning"
-    assert "no actor drives" in of(report, "present")["remedy"]
+    assert "no actor is running" in of(report, "present")["remedy"]
     assert "warming up" in of(report, "state")["seen"]
     for check in ("learner", "round trip", "clock", "policy lag"):
         assert of(report, check)["level"] == "ok", report

@@ -194,7 +194,7 @@ def imported(tree: ast.AST, known: set[str]) -> Iterator[str]:
 
 DIALECT = re.compile(
     r"\b(anew|whoever|whomever|for good and all|gives? way to be had|who is there|in vain|thither|whence"
-    r"|goes? on (?:with|without|from)|as it were|be it)\b",
+    r"|(?:goes?|going) on (?:with|without|from|when)|lets none|as it were|be it)\b",
     re.IGNORECASE,
 )
 """Words of a private dialect: "again", "every client", "the present services", "continues" say the same."""
@@ -205,6 +205,17 @@ def test_documents_are_in_plain_words() -> None:
         for number, line in enumerate(page.read_text().splitlines(), 1):
             found = DIALECT.search(line)
             assert found is None, f"{page.relative_to(ROOT)}, line {number}: {found and found[0]!r}"
+
+
+@pytest.mark.parametrize("folder", ROOMS)
+def test_messages_are_in_plain_words(folder: str) -> None:
+    for file in sources(folder):
+        tree = ast.parse(file.read_text())
+        docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+                found = DIALECT.search(node.value)
+                assert found is None, f"{file.relative_to(ROOT)}, line {node.lineno}: {found and found[0]!r}"
 
 
 LONGEST_CELL = 200

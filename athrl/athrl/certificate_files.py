@@ -9,6 +9,7 @@ from pathlib import Path
 from athrl_protocol.errors import ProtocolError
 from athrl_protocol.security.certificates import read_certificate_file
 from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.wording import system_reason
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import NameOID
@@ -75,4 +76,4 @@ def write_file(path: Path, content: bytes, mode: int) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):  # the file may not exist
             part.unlink(missing_ok=True)
-        raise CommandError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from None
+        raise CommandError(f"cannot write {path}: {system_reason(error)}") from None

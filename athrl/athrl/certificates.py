@@ -195,7 +195,7 @@ def renew_roles(folder: Path, roles: Iterable[str], hosts: Iterable[str] | None,
     Raises:
         CommandError: there is no such role or bound actor, or the folder has no authority.
     """
-    wanted = list(roles)
+    wanted, given = list(roles), None if hosts is None else list(hosts)
     bound = {bound_common_name(name): name for name in _actors_in(folder)}
     for role in wanted:
         if role not in ROLES and role not in bound:
@@ -207,7 +207,7 @@ def renew_roles(folder: Path, roles: Iterable[str], hosts: Iterable[str] | None,
         if role in bound:
             _write_bound(folder, bound[role], authority, days)
             continue
-        names = list(hosts) if hosts is not None else names_in(folder / role / CERTIFICATE_FILE)
+        names = given if given is not None else names_in(folder / role / CERTIFICATE_FILE)
         _write_role(folder / role, _new_role(authority, role, names, days), authority)
     return [_place_of_actor(bound[role]) if role in bound else role for role in wanted]
 

@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Annotated, Any, NamedTuple
 
 import typer
+from athrl_spaces.wording import system_reason
 
 from athrl.errors import EXPECTED_ERROR, expected_errors, say
 from athrl.output import accept_any_text, discard_output, flush_output, start_log
@@ -42,7 +43,7 @@ SUBCOMMANDS = {
     "record": Subcommand("athrl.record:record", "Film a policy or a reference driver.", _RUNS),
     "status": Subcommand("athrl.status:status", "Show the state of a live run.", _RUNS),
     "policies": Subcommand("athrl.policies:policies", "List the policies of this package.", _RUNS),
-    "maps": Subcommand("athrl.maps.command:maps", "List the towns; check a map of yours.", _RUNS),
+    "maps": Subcommand("athrl.maps.command:maps", "List the towns; check a map of your own.", _RUNS),
     "run-file": Subcommand("athrl.run_file:run_file", "Print every setting with its meaning.", _RUNS),
     "learner": Subcommand(
         "athrl.services:learner", "Receive experience, train, publish policies.", _SERVICES
@@ -125,7 +126,7 @@ def _run() -> int:
         say(error)
         return EXPECTED_ERROR
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
+        reason = system_reason(error)
         if error.errno in _OF_PATHS:  # of a path in the command line that is only looked up
             say(f"{error.filename}: {reason}")
         elif error.errno in _OF_DISKS:

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 from athrl_protocol.run_file import EnvironmentSection, RunFile
 from athrl_spaces import CASE_STUDIES, REFERENCE_DRIVERS
+from athrl_spaces.wording import system_reason
 from rich.console import Console
 from rich.table import Table
 
@@ -134,7 +135,7 @@ def _check_folder(folder: Path | None) -> None:
             if not os.access(folder, os.W_OK | os.X_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
-        cause = (error.strerror or str(error)).lower()
+        cause = system_reason(error)
         raise CommandError(
             f"--record {folder}: {cause}, it should be a folder that can be made and written"
         ) from None

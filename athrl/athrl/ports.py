@@ -33,5 +33,5 @@ def free_address() -> str:
         if is_free(port):
             return f"tcp/127.0.0.1:{port}"
     raise CommandError(
-        f"no port from {_PORTS.start} to {_PORTS.stop - 1} is found free: end what listens there"
+        f"no port from {_PORTS.start} to {_PORTS.stop - 1} is free: stop a process that listens there"
     )

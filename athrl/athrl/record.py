@@ -37,7 +37,7 @@ def record(
     size: Annotated[
         str, typer.Option(metavar="WIDTHxHEIGHT", help="Pixels, both even, from 64 to 4096.")
     ] = "1280x720",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
 ) -> None:
     """Film a driver: the town around it in real time, as an MP4 file.
 

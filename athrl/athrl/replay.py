@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from athrl_spaces.untrusted import one_line
+from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError, needs
 from athrl.evaluate import check_town
@@ -42,7 +43,7 @@ def replay(
     try:
         print(told if as_json else one_line(f"{recording}: {_text(verdict)}"), flush=True)
     except OSError as error:  # as code 1 it would say that the states differ
-        raise CommandError(f"cannot write the verdict: {error.strerror}") from None
+        raise CommandError(f"cannot write the verdict: {system_reason(error)}") from None
     if not verdict.same:
         raise typer.Exit(DIFFERENT)
 

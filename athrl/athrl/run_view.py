@@ -189,7 +189,7 @@ class RunView:
             what = "is paused or very busy"
         else:
             what = f"is absent, no process listens at {self._address}"
-        return f"the learner {what}: nothing is heard of it for {seconds:.0f} s"
+        return f"the learner {what}: no message from it for {seconds:.0f} s"
 
     def _connected(self) -> bool:
         """Whether there is a connection; a paused process loses it."""

@@ -236,7 +236,7 @@ def test_trial_does_not_wait_for_ever_for_a_receiver(tmp_path: Path, monkeypatch
     silent.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(silent))
     monkeypatch.setattr(round_trip, "START_SECONDS", 0.2)
-    with pytest.raises(CommandError, match="the receiver does not start: it says nothing"):
+    with pytest.raises(CommandError, match="the receiver does not start: it printed nothing"):
         delivery_trial(tmp_path, 3)
 
 

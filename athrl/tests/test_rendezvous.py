@@ -124,7 +124,7 @@ def test_service_leaves_a_learner_that_is_silent_for_long(folder: Path, capsys) 
     with pytest.raises(typer.Exit) as left:
         follow(str(folder), threading.Event(), lambda _, over: over.wait(PATIENCE), silent_seconds=0.3)
     assert left.value.exit_code == TRY_AGAIN
-    assert "last at tls/node-7:7447, and has not been heard for 0.3 s" in capsys.readouterr().err
+    assert "last at tls/node-7:7447, and has not answered for 0.3 s" in capsys.readouterr().err
 
 
 def test_service_that_is_stopped_ends_well(folder: Path) -> None:

@@ -58,7 +58,7 @@ def test_a_verdict_that_cannot_be_written_is_not_told_as_a_difference(recording:
             timeout=200,
         )
     assert result.returncode not in (0, 1)
-    assert "athrl: cannot write the verdict: No space left on device\n" in result.stderr
+    assert "athrl: cannot write the verdict: no space left on device\n" in result.stderr
 
 
 def test_other_states_end_with_1_and_tell_the_first(recording: Path, tmp_path: Path) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import sqlite3
 import threading
 import tomllib
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +83,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         (changed(towns=["town3"]), "there is no town named 'town3', did you mean 'town03'?"),
         (changed(settings=["learner.bach=64"]), "learner.bach is no setting; did you mean learner.batch?"),
         (changed(settings=["run.seed=7"]), "the study sets run.seed of each run itself, leave it out"),
-        (changed(planners=["ddpg", "ddpg"]), '"ddpg" is there twice, it should be there once'),
+        (changed(planners=["ddpg", "ddpg"]), '"ddpg" appears twice, it should appear once'),
         (changed(run_file="../{pilot}.toml"), "should be a path that has {planner} and {town} alone"),
         (changed(run_file="no-such-{planner}.toml"), "no-such-ddpg.toml: cannot be read"),
         (changed(town="town03"), "grid.0.town is no key of a study"),
@@ -90,7 +92,7 @@ def changed(**changes: Any) -> dict[str, Any]:
             "has 12,000 runs, should have at most",
         ),
         (changed(towns=["town02", ["town02", "town3"]]), "there is no town named 'town3'"),
-        (changed(towns=[["town02", "town02"]]), '"town02" is there twice'),
+        (changed(towns=[["town02", "town02"]]), '"town02" appears twice'),
         (elsewhere(town="town3"), "elsewhere.0.town: there is no town named 'town3', did you mean 'town03'?"),
         (elsewhere(town="town03", vehicles=5000), "elsewhere.0.vehicles = 5000: town03 has room for"),
         (elsewhere(case_study="roundabut"), '"roundabut" is no case study, it should be roundabout'),
@@ -99,7 +101,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         (elsewhere(case_study="roundabout", vehicles=3), "a case study has its own vehicles"),
         (
             {**GOOD, "elsewhere": 2 * elsewhere(town="town02")["elsewhere"]},
-            'elsewhere.1.name: "there" is there twice, it should be there once',
+            'elsewhere.1.name: "there" appears twice, it should appear once',
         ),
         ({"study": GOOD["study"]}, "grid is missing"),
         ({**GOOD, "study": {"name": "one", "seeds": []}}, "study.seeds = []: "),
@@ -107,7 +109,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         ({**GOOD, "study": {"name": "one", "drivers": ["rulebased"]}}, '"rulebased" is no driver'),
         (
             {**GOOD, "grid": [*GOOD["grid"], {"planners": ["ddpg"], "towns": ["town03"], "seeds": [2]}]},
-            "ddpg in town03 with seed 2 is there twice as ddpg-town03-2, it should be there once",
+            "ddpg in town03 with seed 2 appears twice as ddpg-town03-2, it should appear once",
         ),
     ],
 )
@@ -277,18 +279,43 @@ def test_several_workers_of_a_search_share_a_folder(begun: StudyFolder) -> None:
         pass
 
 
+def search_in(folder: Path) -> Search:
+    """Begin or continue a search in a folder."""
+    path = written(folder, GOOD | {"search": SEARCH})
+    return Search(path, read(path)[0], StudyFolder(folder), threading.Event(), lambda line: None)
+
+
+def test_failed_run_fails_its_trial_and_a_folder_that_cannot_be_written_ends_the_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, results = search_in(tmp_path), iter([{"failure": "ended with code 2"}])
+
+    def run(*_: object) -> dict[str, Any]:
+        for result in results:
+            return result
+        raise CommandError("cannot write results/t0001.json: no space left on device")
+
+    monkeypatch.setattr("athrl.study.search.GridRunner.run", run)
+    with pytest.raises(CommandError, match=r"^cannot write results/t0001\.json: no space left on device$"):
+        search.run()
+    trials = search.found()["trials"]
+    assert [trial["state"] for trial in trials] == ["fail", "running"]  # another worker continues that
+    assert trials[0]["failure"].endswith(": ended with code 2")
+
+
+def test_search_of_another_version_of_optuna_ends_with_one_line(tmp_path: Path) -> None:
+    search_in(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "search.db")) as tables, tables:
+        tables.execute("UPDATE alembic_version SET version_num = 'v9.0.0.a'")
+    with pytest.raises(CommandError, match=r"^the file of the search .*search\.db is of another version of"):
+        search_in(tmp_path)
+
+
 def test_search_whose_file_is_damaged_ends_with_one_line(tmp_path: Path) -> None:
-    path = written(tmp_path, GOOD | {"search": SEARCH})
-    study, _ = read(path)
-    folder = StudyFolder(tmp_path)
-
-    def begin() -> Search:
-        return Search(path, study, folder, threading.Event(), lambda line: None)
-
-    search = begin()
+    search = search_in(tmp_path)
     (tmp_path / "search.db").write_bytes(b"damaged" * 2000)
     told = "^the file of the search .*search.db cannot be used: file is not a database$"
-    for use in (search.run, search.found, begin):
+    for use in (search.run, search.found, lambda: search_in(tmp_path)):
         with pytest.raises(CommandError, match=told):
             use()
 

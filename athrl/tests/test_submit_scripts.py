@@ -135,7 +135,7 @@ def test_learner_that_fails_for_good_cancels_all_that_need_it(node: Node) -> Non
 
 def test_service_that_dies_is_started_again(node: Node) -> None:
     node.codes = "139 0"
-    assert node.run("actors") == (0, "athrl: ended with code 139; starting it again\n")
+    assert node.run("actors") == (0, "athrl: ended with code 139; restarting it\n")
     assert len(node.calls) == 2
 
 

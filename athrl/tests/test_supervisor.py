@@ -41,7 +41,7 @@ def test_service_that_leaves_before_its_learner_is_started_again_however_often(t
     one = service(tmp_path, "pass", may_leave=lambda: not needed[0], early_seconds=0.02)
     supervisor.start(one)
     watch(supervisor, lambda: one.left_early == 3)
-    assert said == ["one left before its learner ended; starting it again"] * 3
+    assert said == ["one left before its learner ended; restarting it"] * 3
     needed[0] = False
     watch(supervisor, lambda: one.finished)
     assert one.deaths == 0
@@ -142,7 +142,7 @@ def test_service_that_even_a_kill_does_not_end_keeps_no_other_alive(tmp_path: Pa
     for each in (stuck, other):
         supervisor.start(each)
     stuck.process.wait = lambda seconds: False  # type: ignore[method-assign]
-    with pytest.raises(CommandError, match="one was killed and is still there after 10 s"):
+    with pytest.raises(CommandError, match="one was killed and still runs after 10 s"):
         supervisor.end()
     assert other.process.wait(10)
 

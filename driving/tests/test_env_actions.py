@@ -11,7 +11,7 @@ from athrl_driving.control import WHEEL_ANGLE_PER_STEERING
 from athrl_driving.drivers import DRIVERS, make_driver
 from athrl_driving.envs import DirectAction, TownEnv, TownVectorEnv, WaypointAction, WaypointSetAction
 from athrl_driving.envs.settings import ACTION_KIND_OF_TYPE
-from athrl_spaces import ACTION_KINDS, Continuous, Limits
+from athrl_spaces import ACTION_KINDS, Continuous, Discrete, Limits
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
@@ -44,7 +44,7 @@ def test_every_kind_of_action_has_a_type_and_its_space() -> None:
         env = new_env(name)
         assert type(env.action_type) is TYPES[name]
         described = ACTION_KINDS[kind].describe(Limits())
-        if ACTION_KINDS[kind].discrete:
+        if all(isinstance(entry, Discrete) for entry in described):
             assert env.action_space == spaces.MultiDiscrete([len(entry.choices) for entry in described])
         else:
             assert env.action_space == spaces.Box(-1, 1, (2,), np.float32)

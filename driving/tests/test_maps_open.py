@@ -90,7 +90,7 @@ def test_what_is_left_out_is_told_once_and_loudly_if_it_is_much(
     (told,) = [record for record in caplog.records if "left out" in record.getMessage()]
     assert told.levelno == level
     share = 100.0 * length / (metres(town) + length)
-    assert f"{length:.1f} m of 1 lanes ({share:.1f} %) left out" in told.getMessage()
+    assert f"{length:.1f} m of 1 lane ({share:.1f} %) left out" in told.getMessage()
     assert "road 5" in told.getMessage()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from athrl_planners import Agent, Sequence, SequenceReplay, make_agent
 from athrl_planners.factories import make_replay
-from athrl_spaces import Continuous, Discrete, LevelDescription, Observation, Sampled
+from athrl_spaces import WAYPOINT_SET, Continuous, Discrete, LevelDescription, Observation, Sampled
 
 ROWS, EPISODE = 16, 6
 FAR = 0.6
@@ -60,7 +60,7 @@ class Signs:
     def step(self, actions: Arrays) -> tuple[np.ndarray, np.ndarray]:
         """What decisions earn, float32 [rows], and the next images."""
         decided = self._description.environment_action(actions)
-        if self._description.kind.discrete:
+        if self._description.kind.name == WAYPOINT_SET:
             places = np.array([CHOICES[entry] for entry in self._description.kind.entries])
             right = decided == np.take_along_axis(places, self._wanted.T, axis=1).T
             reward = right.mean(axis=1)

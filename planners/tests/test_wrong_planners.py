@@ -233,12 +233,12 @@ def test_planner_that_does_not_decide_what_its_environment_needs_is_refused(
         ),
         (
             {"rewarded": ("speed", "haste")},
-            "level one is paid the term 'haste' of the reward; there are collision, speed, fast, out, steer, "
+            "level one has the reward term 'haste'; there are collision, speed, fast, out, steer, "
             "lateral, constant",
         ),
         (
             {"rewarded": ("speed", "out", "speed")},
-            "level one is paid the term 'speed' of the reward twice; once is enough",
+            "level one has the reward term 'speed' twice; once is enough",
         ),
     ],
 )

@@ -30,6 +30,7 @@ from athrl_protocol import (
     read_run_file,
     serve_run_file,
 )
+from athrl_protocol.announcements.typed import TypedSubscriber
 from athrl_protocol.messages import athrl_pb2
 from athrl_protocol.messages.schema import encode_message
 
@@ -61,7 +62,7 @@ def test_late_subscriber_has_the_newest_at_once(listen: Open, connect: Open) -> 
         publisher.publish(b"one")
         publisher.publish(b"two")
         for _ in range(2):  # a restarted subscriber too
-            with LatestSubscriber(connect(), KEY) as subscriber:
+            with TypedSubscriber(connect(), KEY, bytes) as subscriber:
                 assert subscriber.wait(PATIENCE) == b"two"
 
 
@@ -82,31 +83,36 @@ def test_early_subscriber_gets_values_in_order_up_to_the_newest(
 
 
 def test_subscriber_returns_without_a_value_when_there_is_none(listen: Open, connect: Open) -> None:
-    with LatestPublisher(listen(), KEY), LatestSubscriber(connect(), KEY) as subscriber:
+    with LatestPublisher(listen(), KEY), TypedSubscriber(connect(), KEY, bytes) as subscriber:
         assert subscriber.wait(0.05) is None
-        assert subscriber.latest() is None
+        assert subscriber.newest() is None
 
 
 def test_value_whose_put_was_lost_comes_after_a_reminder_and_is_asked_for_once(
     listen: Open, connect: Open, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    learner, asked, answered = listen(), [], []
+    learner, seen, asked, answered = listen(), [], [], []
     query_first = LatestSubscriber._query
     monkeypatch.setattr(LatestSubscriber, "_query", lambda *given: (query_first(*given), answered.append(1)))
-    with LatestSubscriber(connect(), KEY) as subscriber, LatestPublisher(learner, KEY, 0.02) as publisher:
+    with (
+        LatestSubscriber(connect(), KEY, seen.append) as subscriber,
+        LatestPublisher(learner, KEY, 0.02) as publisher,
+    ):
         publisher.publish(b"first")
-        eventually(lambda: subscriber.latest() == b"first")
+        eventually(lambda: seen == [b"first"])
         eventually(lambda: bool(answered))  # else that answer might bring the second value
         monkeypatch.setattr(subscriber, "ask", lambda ask=subscriber.ask: (asked.append(1), ask()))
         lossy = type("", (), {"put": lambda *_, **__: None, "undeclare": publisher._publisher.undeclare})()
         monkeypatch.setattr(publisher, "_publisher", lossy)
         publisher.publish(b"second")
-        eventually(lambda: subscriber.latest() == b"second")
+        eventually(lambda: seen == [b"first", b"second"])
     assert len(asked) == 1
 
 
-def test_reminder_of_what_is_known_or_older_asks_for_nothing(listen: Open, connect: Open) -> None:
-    learner, seen = listen(), []
+def test_reminder_of_what_is_known_or_older_asks_for_nothing(
+    listen: Open, connect: Open, eventually: Eventually
+) -> None:
+    learner, values, seen = listen(), [], []
     known, came = threading.Event(), threading.Event()
 
     class Quiet(LatestSubscriber):
@@ -125,8 +131,8 @@ def test_reminder_of_what_is_known_or_older_asks_for_nothing(listen: Open, conne
 
     with LatestPublisher(learner, KEY, 0.02) as publisher:
         publisher.publish(b"value")
-        with Quiet(connect(), KEY) as subscriber:
-            assert subscriber.wait(PATIENCE) == b"value"
+        with Quiet(connect(), KEY, values.append) as subscriber:
+            eventually(lambda: values == [b"value"])
             known.set()
             assert came.wait(PATIENCE)
             subscriber.check()
@@ -164,7 +170,7 @@ def test_version_from_the_future_is_refused_by_name_and_blocks_nothing(
     learner = listen()
     present = new_incarnation()
     week = 7 * 86_400 * 10**9
-    with LatestSubscriber(connect(), KEY) as subscriber:
+    with TypedSubscriber(connect(), KEY, bytes) as subscriber:
         eventually(lambda: _matches(learner, KEY))
         for incarnation in (2**64 - 2, present + week):
             learner.put(KEY, b"forged", attachment=_version(incarnation, 1))
@@ -208,7 +214,7 @@ def test_learner_that_returns_with_a_clock_set_back_is_heard(
     publisher = LatestPublisher(learner, KEY)
     publisher.publish(b"before")
     arrived = threading.Semaphore(0)
-    with LatestSubscriber(connect(), KEY, lambda _: arrived.release()) as subscriber:
+    with TypedSubscriber(connect(), KEY, bytes, lambda _: arrived.release()) as subscriber:
         assert arrived.acquire(timeout=PATIENCE)
         publisher.close()
         learner.close()
@@ -216,7 +222,7 @@ def test_learner_that_returns_with_a_clock_set_back_is_heard(
         with LatestPublisher(listen(), KEY) as returned:
             returned.publish(b"after")
             assert arrived.acquire(timeout=PATIENCE)
-            assert subscriber.latest() == b"after"
+            assert subscriber.newest() == b"after"
 
 
 def test_policy_that_arrived_damaged_is_not_used(listen: Open, connect: Open, eventually: Eventually) -> None:

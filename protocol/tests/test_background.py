@@ -23,6 +23,7 @@ from athrl_protocol import (
     new_incarnation,
 )
 from athrl_protocol.announcements.latest_value import LatestPublisher, LatestSubscriber
+from athrl_protocol.announcements.typed import TypedSubscriber
 from athrl_protocol.delivery.upload_window import UploadWindow
 
 RUN = "background"
@@ -81,23 +82,35 @@ def test_subscriber_whose_thread_failed_says_so_to_who_asks_for_its_value(
     session = listen()
     on_value = fail if broken == "on_value" else None
     with (
-        LatestSubscriber(connect(), "athrl/x/policy", on_value) as subscriber,
+        TypedSubscriber(connect(), "athrl/x/policy", bytes, on_value) as subscriber,
         LatestPublisher(session, "athrl/x/policy") as publisher,
     ):
         publisher.publish(b"value")
-        eventually(lambda: subscriber._background.failed)
-        waited(subscriber.latest)
+        eventually(lambda: subscriber._subscriber.failed)
+        waited(subscriber.newest)
         waited(lambda: subscriber.wait(PATIENCE))
+
+
+def test_wait_for_a_value_ends_when_decoding_it_fails(listen: Open, connect: Open) -> None:
+    with (
+        LatestPublisher(listen(), "athrl/x/policy") as publisher,
+        TypedSubscriber(connect(), "athrl/x/policy", fail) as subscriber,
+    ):
+        later = threading.Timer(0.2, publisher.publish, [b"value"])
+        later.start()
+        error = waited(lambda: subscriber.wait(PATIENCE))
+        later.join()
+    assert str(error).startswith("the subscription to athrl/x/policy failed: Panic: no memory")
 
 
 def test_closed_session_is_no_failure(listen: Open, connect: Open) -> None:
     listen()
     session = connect()
-    subscriber = LatestSubscriber(session, "athrl/x/policy")
+    subscriber = LatestSubscriber(session, "athrl/x/policy", lambda _: None)
     session.close()
     subscriber._asker.join(PATIENCE)
     assert not subscriber._asker.is_alive()
-    assert subscriber.latest() is None
+    subscriber.check()
     subscriber.close()
 
 

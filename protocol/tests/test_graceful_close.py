@@ -12,6 +12,7 @@ import pytest
 import zenoh
 from athrl_protocol import LatestPublisher, LatestSubscriber, announce_presence, open_session, serve_run_file
 from athrl_protocol.announcements.joining import join_run
+from athrl_protocol.announcements.typed import TypedSubscriber
 from athrl_protocol.messages.keys import Keys
 from athrl_protocol.run_file import RunFile
 from athrl_protocol.transport.graceful_close import drain_incoming
@@ -89,7 +90,7 @@ def test_client_that_leaves_holds_nobody_up(
                     stack=stack,
                 )
                 assert joined is not None
-                values = stack.enter_context(LatestSubscriber(joined.session, KEY))
+                values = stack.enter_context(TypedSubscriber(joined.session, KEY, bytes))
                 assert values.wait(30.0) is not None
     gaps.take(None)
     assert gaps.held_up <= MOST_HELD_UP

@@ -81,7 +81,7 @@ def test_other_map_under_another_name_replaces_path_and_checksum(run_file: RunFi
 
 def test_one_map_by_two_names_and_a_folder_as_a_map_are_refused(map_file: Path) -> None:
     twice = read_run_file(None, ['environment.towns=["maps/m.xodr", "maps/../maps/m.xodr"]'])
-    assert "is there twice" in refusal(with_whole_maps, twice)
+    assert "appears twice" in refusal(with_whole_maps, twice)
     map_file.with_name("folder.xodr").mkdir()
     folder = read_run_file(None, ["environment.towns=maps/folder.xodr"])
     assert "is no file" in refusal(with_whole_maps, folder)

@@ -118,7 +118,7 @@ import sys
 from athrl_protocol import LearnerNotFound, LatestSubscriber, open_session
 learner = open_session(listen=sys.argv[1], timeout=30)
 client = open_session(connect=sys.argv[1], timeout=30)
-subscriber = LatestSubscriber(client, "athrl/a/b")
+subscriber = LatestSubscriber(client, "athrl/a/b", print)
 learner.close()
 try:
     open_session(connect=sys.argv[1], timeout=0.1)

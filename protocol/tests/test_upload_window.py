@@ -14,10 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 
+def add(window: UploadWindow, encoded: bytes) -> None:
+    """Hold a chunk that is encoded at once."""
+    window.put(window.reserve(), encoded)
+
+
 def test_counts_of_a_window_add_up() -> None:
     window = UploadWindow()
     for content in (b"0", b"1", b"2"):
-        window.add(content)
+        add(window, content)
     assert len(window) == 3
     assert window.take() == (0, 0, b"0")
     assert window.take() == (1, 0, b"1")
@@ -31,13 +36,13 @@ def test_counts_of_a_window_add_up() -> None:
 def test_what_is_given_up_is_counted_by_reason() -> None:
     window = UploadWindow()
     for _ in range(6):
-        window.add(b"")
+        add(window, b"")
         window.take()
     window.give_up(1)
     window.give_up(1)  # a second refusal of the same chunk
     window.acknowledge(1)
     window.give_up_all("finished")
-    window.add(b"")
+    add(window, b"")
     window.give_up_all("closed")
     window.leave_out(3)
     counts = window.statistics()
@@ -48,8 +53,8 @@ def test_what_is_given_up_is_counted_by_reason() -> None:
 
 def test_acknowledgement_never_drops_what_was_not_sent() -> None:
     window = UploadWindow()
-    window.add(b"0")
-    window.add(b"1")
+    add(window, b"0")
+    add(window, b"1")
     window.take()
     window.acknowledge(99)
     assert window.take() == (1, 1, b"1")
@@ -58,7 +63,7 @@ def test_acknowledgement_never_drops_what_was_not_sent() -> None:
 def test_rewind_sends_again_from_the_oldest_held() -> None:
     window = UploadWindow()
     for number in range(5):
-        window.add(b"%d" % number)
+        add(window, b"%d" % number)
         window.take()
     window.acknowledge(2)
     window.rewind_to(0)
@@ -71,7 +76,7 @@ def test_rewind_sends_again_from_the_oldest_held() -> None:
 def test_chunk_that_was_turned_away_is_not_counted_as_sent_again_for_want_of_an_answer() -> None:
     window = UploadWindow()
     for number in range(3):
-        window.add(b"%d" % number)
+        add(window, b"%d" % number)
         window.take()
     window.rewind(turned_away=True)
     window.take()
@@ -133,7 +138,7 @@ class _Simulation:
 
     def produce(self) -> None:
         if len(self.window) < 6:
-            self.window.add(b"")
+            add(self.window, b"")
 
     def exchange(self, query_arrives: bool, answer_arrives: bool) -> bool:
         """Send one chunk; return whether the actor received the answer."""

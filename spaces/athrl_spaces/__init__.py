@@ -4,7 +4,8 @@ This package imports no other package of the project and only needs NumPy. `acti
 choice that a planner decides and its exploration, `action_kinds` the actions that an environment takes,
 `observation` the observation, `reward_terms` the terms of the reward, `policy` the description of a policy,
 `towns` the names of towns. `untrusted` reads files from elsewhere within bounds; every room's parsers use it.
-`first_use` imports a package's names when they are used.
+`wording` has words that messages share: why the system refused something, and plurals. `first_use` imports a
+package's names when they are used.
 """
 
 from athrl_spaces.action_kinds import (

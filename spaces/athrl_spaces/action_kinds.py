@@ -55,13 +55,11 @@ class ActionKind:
     Attributes:
         name: of the kind.
         entries: names of its two entries, in the order in which an environment takes them.
-        discrete: whether its entries are choices.
         describe: returns the spaces of both entries under given limits, without exploration.
     """
 
     name: str
     entries: tuple[str, str]
-    discrete: bool
     describe: Callable[[Limits], tuple[Action, Action]]
 
 
@@ -103,9 +101,9 @@ def _direct(_: Limits) -> tuple[Action, Action]:
 ACTION_KINDS = {
     kind.name: kind
     for kind in (
-        ActionKind(WAYPOINT, ("target_speed", "waypoint_angle"), False, _waypoint),
-        ActionKind(WAYPOINT_SET, ("behaviour", "waypoint"), True, _waypoint_set),
-        ActionKind(DIRECT, ("acceleration", "steering"), False, _direct),
+        ActionKind(WAYPOINT, ("target_speed", "waypoint_angle"), _waypoint),
+        ActionKind(WAYPOINT_SET, ("behaviour", "waypoint"), _waypoint_set),
+        ActionKind(DIRECT, ("acceleration", "steering"), _direct),
     )
 }
 """The kinds by name; the position of a kind here is its number in compiled code."""

@@ -13,9 +13,9 @@ def refuse_wrong_terms(level: str, rewarded: Sequence[str]) -> None:
     for term in rewarded:
         if term not in REWARD_TERMS:
             terms = ", ".join(REWARD_TERMS)
-            raise ValueError(f"level {level} is paid the term {term!r:.60} of the reward; there are {terms}")
+            raise ValueError(f"level {level} has the reward term {term!r:.60}; there are {terms}")
         if list(rewarded).count(term) > 1:
-            raise ValueError(f"level {level} is paid the term {term!r} of the reward twice; once is enough")
+            raise ValueError(f"level {level} has the reward term {term!r} twice; once is enough")
 
 
 def indices_of_terms(rewarded: Sequence[str]) -> tuple[int, ...]:

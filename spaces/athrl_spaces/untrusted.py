@@ -17,6 +17,8 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
+from athrl_spaces.wording import system_reason
+
 PARSER_ERRORS: tuple[type[Exception], ...] = (
     ArithmeticError,  # a number too large, or a division by zero
     AttributeError,  # an array where an object should be
@@ -94,7 +96,7 @@ def open_untrusted(path: str | Path, most_bytes: int) -> BufferedReader:
 
 
 def _cannot_be_read(error: OSError) -> str:
-    return f"cannot be read: {(error.strerror or str(error)).lower()}"
+    return f"cannot be read: {system_reason(error)}"
 
 
 def _too_large(most_bytes: int) -> str:
@@ -134,6 +136,8 @@ def reason_of(error: Exception) -> str:
             return "announces more data than fits into memory"
         case UnicodeError():
             return "is not UTF-8 text"
+        case OSError():
+            return one_short_line(system_reason(error))
         case ArithmeticError():
             return "has a number that is out of range"
         case KeyError():

@@ -136,7 +136,7 @@ def test_chunk_that_is_given_up_before_it_is_encoded_is_accounted_for(
     tmp_path: Path, window: RecordingWindow, reason: Reason
 ) -> None:
     for message in MESSAGES[:4]:
-        window.add(message)
+        window.put(window.reserve(), message)
     for _ in range(3):
         assert window.take() is not None
     window.acknowledge(2)
@@ -151,7 +151,7 @@ def test_chunk_that_is_given_up_before_it_is_encoded_is_accounted_for(
 
 
 def test_chunk_that_an_actor_did_not_record_is_an_imbalance(tmp_path: Path, window: RecordingWindow) -> None:
-    window.add(MESSAGES[0])
+    window.put(window.reserve(), MESSAGES[0])
     UploadWindow.put(window, window.reserve(), MESSAGES[1])
     UploadWindow.give_up_all(window, "closed")
     window.give_up_all("closed")

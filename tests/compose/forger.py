@@ -9,7 +9,8 @@ import sys
 import time
 
 from athrl_protocol import Keys, new_incarnation, open_session
-from athrl_protocol.announcements.latest_value import LatestPublisher, LatestSubscriber
+from athrl_protocol.announcements.latest_value import LatestPublisher
+from athrl_protocol.announcements.typed import TypedSubscriber
 from athrl_protocol.messages import athrl_pb2
 from athrl_protocol.messages.schema import decode_message, encode_message
 
@@ -22,7 +23,7 @@ def forge(address: str, run: str, version: int) -> None:
     """Publish the forged policy in the dark, and then as the learner would."""
     key = Keys(run).policy
     with open_session(connect=address, timeout=PATIENCE, role="actor") as session:
-        with LatestSubscriber(session, key) as policies:
+        with TypedSubscriber(session, key, bytes) as policies:
             newest = policies.wait(PATIENCE)
         assert newest is not None
         policy = decode_message(athrl_pb2.Policy, newest)

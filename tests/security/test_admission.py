@@ -85,7 +85,7 @@ def test_only_the_authoritys_certificates_get_in(
     port, ours, said = learner_process
     one_line(
         status(command, port, "--certificates", str(foreign)),
-        "its certificate is not good",
+        "its certificate is not accepted",
         str(foreign / "viewer"),
     )
     one_line(status(command, port, protocol="tcp"), "asks for a certificate", "--certificates")
@@ -178,7 +178,7 @@ def test_nobody_else_can_pass_for_the_learner(sessions, port: int, ours: Path) -
     sessions.enter_context(
         open_session(listen=f"127.0.0.1:{port}", timeout=PATIENCE, run="guarded", certificates=impostor)
     )
-    with pytest.raises(NotAdmitted, match="its certificate is not good"):
+    with pytest.raises(NotAdmitted, match="its certificate is not accepted"):
         open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="viewer", certificates=ours)
 
 

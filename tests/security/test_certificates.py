@@ -95,6 +95,12 @@ def test_renewal_changes_one_role_and_keeps_authority_and_names(tmp_path: Path) 
     assert names.value.get_values_for_type(x509.DNSName) == ["learner.example", "learner"]
 
 
+def test_renewal_gives_every_server_the_names_that_are_given_once(tmp_path: Path) -> None:
+    certificates.make_all(tmp_path, ["localhost"], days=365)
+    certificates.renew_roles(tmp_path, SERVERS, iter(["new.example"]), days=365)
+    assert all(certificates._has_names(tmp_path / role, ["new.example"]) for role in SERVERS)
+
+
 def test_wrong_words_are_one_line_each(tmp_path: Path) -> None:
     with pytest.raises(CommandError, match="no such role; it is one of learner, actor"):
         certificates.renew_roles(tmp_path, ["boss"], None, days=1)

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 from athrl_protocol.run_file import RunFile
+from athrl_spaces.wording import counted
 from rich.console import Console
 from rich.text import Text
 
@@ -83,7 +84,8 @@ def line(finding: Finding) -> Text:
 def verdict(found: list[Finding]) -> str:
     """Return the last line."""
     counts = facts(found)
-    return f"{len(found)} checks, {counts['warnings']} warnings, {counts['failed']} failed"
+    checks, warnings = counted(len(found), "check"), counted(counts["warnings"], "warning")
+    return f"{checks}, {warnings}, {counts['failed']} failed"
 
 
 def _checks(settings: RunFile, connect: str | None, run: str | None) -> Iterator[tuple[str, Check]]:

@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from athrl_protocol.run_file import RunFile
+from athrl_spaces.wording import system_reason
 
 from athrl.doctor.finding import Finding, failed, ok, warning
 from athrl.runs import run_folder
@@ -48,7 +49,7 @@ def disk(settings: RunFile) -> Iterator[Finding]:
     except OSError as error:
         yield failed(
             "run folder",
-            f"cannot write {place}: {(error.strerror or str(error)).lower()}",
+            f"cannot write {place}: {system_reason(error)}",
             "make room, or choose another folder with run.folder",
         )
         return

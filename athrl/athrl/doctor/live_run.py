@@ -106,7 +106,7 @@ def _services(session: zenoh.Session, run: str, seconds: float) -> Iterator[Find
 def _presence(there: list[tuple[str, str]]) -> Finding:
     seen = ", ".join(f"{role} {name}" for role, name in there) or "no services"
     if not any(role == "actor" for role, _ in there):
-        return warning("present", seen, "no actor drives: athrl actor --connect ADDRESS --run RUN")
+        return warning("present", seen, "no actor is running: athrl actor --connect ADDRESS --run RUN")
     return ok("present", seen)
 
 

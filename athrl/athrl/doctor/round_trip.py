@@ -149,7 +149,7 @@ def _receiver(address: str, folder: Path, fsync: str) -> Iterator[subprocess.Pop
     try:
         if not _says_ready(process):
             process.kill()
-            said = process.communicate()[1].strip().splitlines() or ["it says nothing"]
+            said = process.communicate()[1].strip().splitlines() or ["it printed nothing"]
             raise CommandError(f"the receiver does not start: {said[-1]}")
         yield process
     finally:

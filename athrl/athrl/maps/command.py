@@ -14,12 +14,12 @@ from athrl.errors import CommandError, needs
 from athrl.maps import report
 from athrl.options import JsonOption
 
-maps = typer.Typer(help="List the towns that come along; check a map of yours.")
+maps = typer.Typer(help="List the included towns; check a map of your own.")
 
 
 @maps.callback(invoke_without_command=True)
 def list_towns(context: typer.Context, as_json: JsonOption = False) -> None:
-    """List the towns that come along; `athrl maps check FILE` looks at a map of yours."""
+    """List the included towns; `athrl maps check FILE` checks a map of your own."""
     if context.invoked_subcommand is not None:
         return
     with needs("actor"):

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from athrl_spaces.wording import counted
 from rich.table import Table
 from rich.text import Text
 
@@ -22,7 +23,7 @@ def line_of(facts: MapFacts, suggested: int) -> str:
     """Return one line about a town that comes along."""
     return (
         f"{facts.name}: {facts.lane_kilometres:.1f} km of lanes on {_extent(facts)}; "
-        f"{_junctions(facts)}; dense traffic: {_count(suggested, 'vehicle')}"
+        f"{_junctions(facts)}; dense traffic: {counted(suggested, 'vehicle')}"
     )
 
 
@@ -51,7 +52,7 @@ def table(facts: MapFacts, suggested: int, trial: Trial | None, picture: Path | 
 def _lines(
     facts: MapFacts, suggested: int, trial: Trial | None, picture: Path | None
 ) -> Iterator[tuple[str, str]]:
-    yield "file", f"OpenDRIVE {facts.opendrive or 'of an untold revision'}, {_count(facts.roads, 'road')}"
+    yield "file", f"OpenDRIVE {facts.opendrive or 'of an unstated revision'}, {counted(facts.roads, 'road')}"
     yield "driving lanes", f"{facts.lane_kilometres:.2f} km along their roads, on {_extent(facts)}"
     yield "junctions", _junctions(facts)
     yield "traffic lights", _lights(facts)
@@ -74,19 +75,21 @@ def _extent(facts: MapFacts) -> str:
 def _junctions(facts: MapFacts) -> str:
     if not facts.junction_arms:
         return "no junctions"
-    arms = ", ".join(f"{count} of {_count(arms, 'arm')}" for arms, count in facts.junction_arms.items())
-    return f"{_count(sum(facts.junction_arms.values()), 'junction')}: {arms}"
+    arms = ", ".join(f"{count} of {counted(arms, 'arm')}" for arms, count in facts.junction_arms.items())
+    return f"{counted(sum(facts.junction_arms.values()), 'junction')}: {arms}"
 
 
 def _lights(facts: MapFacts) -> str:
     if not facts.traffic_lights:
         return "none"
-    return f"{facts.traffic_lights} in the file, {_count(facts.driven.light_groups, 'group')} that lanes heed"
+    return (
+        f"{facts.traffic_lights} in the file, {counted(facts.driven.light_groups, 'group')} that lanes heed"
+    )
 
 
 def _driven(facts: MapFacts) -> str:
     driven = facts.driven
-    text = f"{driven.kilometres:.2f} km, {driven.share:.1%}, {_count(driven.lanes, 'lane')}"
+    text = f"{driven.kilometres:.2f} km, {driven.share:.1%}, {counted(driven.lanes, 'lane')}"
     if driven.ways_out:
         text += f", {driven.ways_out:,} of them out of the map"
     if len(driven.parts) == 1:
@@ -116,7 +119,7 @@ def _vehicles(facts: MapFacts, suggested: int) -> str:
 
 def _trial(trial: Trial) -> str:
     return (
-        f"{_count(trial.vehicles, 'vehicle')} for {trial.seconds:.0f} s: {trial.mean_speed:.1f} m/s, "
+        f"{counted(trial.vehicles, 'vehicle')} for {trial.seconds:.0f} s: {trial.mean_speed:.1f} m/s, "
         f"{trial.share_of_free_flow:.0%} of free flow; they stand {trial.standing:.0%} of the time"
     )
 
@@ -125,11 +128,7 @@ def _warnings(trial: Trial) -> Iterator[str]:
     if trial.overlap_seconds:
         yield f"vehicles collide: pairs of them overlap for {trial.overlap_seconds:.1f} s"
     if trial.stuck:
-        vehicles = _count(trial.stuck, "vehicle")
+        vehicles = counted(trial.stuck, "vehicle")
         yield f"deadlock: at the end {vehicles} had been standing for more than {trial.patience:.0f} s"
     if trial.share_of_free_flow < _CRAWLS:
         yield "traffic crawls: try fewer with --vehicles"
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number:,} {thing}" + ("" if number == 1 else "s")

@@ -55,7 +55,7 @@ def follow(
         # The service has ended by itself if its run is finished, and then a silent learner is no wonder.
         silent = over.is_set() and not stop.is_set()
     if silent:
-        raise _no_learner(folder, f", and has not been heard for {silent_seconds:g} s")
+        raise _no_learner(folder, f", and has not answered for {silent_seconds:g} s")
 
 
 @contextmanager

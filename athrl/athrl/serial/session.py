@@ -26,6 +26,7 @@ from athrl_learner.training.memory import keep_freed_memory
 from athrl_protocol import EvaluationResult
 from athrl_protocol.run_file import RunFile, with_whole_maps
 from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.wording import counted
 
 from athrl.display import Display
 from athrl.runs import run_folder
@@ -138,7 +139,9 @@ class SerialSession:
             truncate_to(path, size)
         removed = self._components.store.log.remove_later_segments()
         if removed:
-            log.info("removed %d segments of the log after the checkpoint, to be repeated", removed)
+            log.info(
+                "removed %s of the log after the checkpoint, to be repeated", counted(removed, "segment")
+            )
 
     def _observers(self) -> Observers:
         return Observers(

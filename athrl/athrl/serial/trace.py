@@ -15,6 +15,7 @@ from pathlib import Path
 
 from athrl_learner import CannotResume
 from athrl_protocol.faults.bounded_log import RareLog
+from athrl_spaces.wording import system_reason
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +30,7 @@ def truncate_to(path: Path, size: int) -> None:
         if path.exists() and path.stat().st_size > size:
             os.truncate(path, size)
     except OSError as error:
-        raise CannotResume(f"cannot truncate {path}: {error.strerror}") from None
+        raise CannotResume(f"cannot truncate {path}: {system_reason(error)}") from None
 
 
 def size_of(path: Path) -> int:
@@ -51,4 +52,4 @@ class Trace:
             with self.path.open("a", encoding="ascii") as stream:
                 stream.write(line + "\n")
         except OSError as error:
-            self._warn(f"cannot write {self.path}: {error.strerror}")
+            self._warn(f"cannot write {self.path}: {system_reason(error)}")

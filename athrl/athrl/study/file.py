@@ -39,7 +39,7 @@ class StudyFileError(CommandError):
 def _not_twice(values: list[Any]) -> list[Any]:
     for number, value in enumerate(values):
         if value in values[:number]:
-            raise ValueError(f"{show(value)} is there twice, it should be there once")
+            raise ValueError(f"{show(value)} appears twice, it should appear once")
     return values
 
 

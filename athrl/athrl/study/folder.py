@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_untrusted
+from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError
 from athrl.study.file import StudyFile
@@ -60,7 +61,7 @@ class StudyFolder:
                     f"--out {self.path}: another athrl study works in it, wait for its end or stop it"
                 ) from None
             except OSError as error:  # for instance of a network file system that is mounted without locks
-                cause = (error.strerror or str(error)).lower()
+                cause = system_reason(error)
                 raise CommandError(
                     f"--out {self.path}: cannot be locked: {cause}; mount its file system with locks, or "
                     "name another folder"
@@ -146,7 +147,7 @@ class StudyFolder:
         try:
             yield
         except OSError as error:
-            cause = (error.strerror or str(error)).lower()
+            cause = system_reason(error)
             raise CommandError(f"cannot write {path}: {cause}, --out should be a folder to write") from None
 
 

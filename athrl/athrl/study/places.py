@@ -73,9 +73,7 @@ def require_places(path: Path, study: StudyFile) -> None:
     for number, section in enumerate(study.elsewhere):
         place = f"{path}: elsewhere.{number}"
         if section.name in names:
-            raise StudyFileError(
-                f"{place}.name: {show(section.name)} is there twice, it should be there once"
-            )
+            raise StudyFileError(f"{place}.name: {show(section.name)} appears twice, it should appear once")
         names.add(section.name)
         if section.town is not None:
             require_town(f"{place}.town", section.town)

@@ -69,7 +69,7 @@ def planned_runs(path: Path, study: StudyFile, prefix: str = "") -> list[Planned
     The planners must have been declared. Every name begins with `prefix`.
 
     Raises:
-        StudyFileError: a planner, a town, a run file or a setting is not valid, or a run is there twice.
+        StudyFileError: a planner, a town, a run file or a setting is not valid, or a run appears twice.
     """
     count = sum(_count(study, grid) for grid in study.grid)
     if count > MOST_RUNS:
@@ -180,8 +180,8 @@ def _require_different(path: Path, runs: Sequence[PlannedRun]) -> None:
             row = run.row
             variant = f", variant {row.variant}" if row.variant else ""
             raise StudyFileError(
-                f"{path}: {row.planner} in {row.town} with seed {run.seed}{variant} is there twice as "
-                f"{run.name}, it should be there once"
+                f"{path}: {row.planner} in {row.town} with seed {run.seed}{variant} appears twice as "
+                f"{run.name}, it should appear once"
             )
         seen[run.name] = run.row
 

@@ -156,7 +156,7 @@ def _wait_for(file: IO[bytes], stop: threading.Event) -> None:
         except BlockingIOError:
             if time.monotonic() > deadline:
                 raise RunFailed(
-                    f"another process has held {file.name} for {LEFT_SECONDS:.0f} s, end it"
+                    f"another process has held {file.name} for {LEFT_SECONDS:.0f} s: stop it"
                 ) from None
         if stop.wait(POLL_SECONDS):
             raise Stopped

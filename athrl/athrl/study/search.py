@@ -39,6 +39,10 @@ class Pruned(Exception):  # noqa: N818  (the name says what happened)
     """A trial does worse on the way than half of the earlier ones did."""
 
 
+class TrialFailed(Exception):  # noqa: N818  (the name says what happened)
+    """The settings of a trial do not fit each other, or one of its runs failed; one line."""
+
+
 class Search:
     """One worker of a search.
 
@@ -123,7 +127,7 @@ class Search:
             self._say(f"trial {trial.number}: below the median of the earlier ones, ended")
             self._optuna_study.tell(trial, state=optuna.trial.TrialState.PRUNED)
             return
-        except CommandError as error:
+        except TrialFailed as error:
             self._say(f"trial {trial.number} failed: {error}")
             trial.set_user_attr("failure", str(error))
             self._optuna_study.tell(trial, state=optuna.trial.TrialState.FAIL)
@@ -136,18 +140,23 @@ class Search:
 
         Raises:
             Pruned: it is not worth it.
-            CommandError: the settings do not fit each other, or a run failed.
+            TrialFailed: the settings do not fit each other, or a run failed.
+            CommandError: the folder cannot be read or written, which no other trial would change.
         """
         grid = [
             each.model_copy(update={"settings": [*each.settings, *_settings(trial)]})
             for each in self._study.grid
         ]
         changed = self._study.model_copy(update={"grid": grid})
+        try:
+            planned = planned_runs(self._path, changed, f"t{trial.number:04d}-")
+        except CommandError as error:
+            raise TrialFailed(str(error)) from None
         found = []
-        for order, run in enumerate(planned_runs(self._path, changed, f"t{trial.number:04d}-")):
+        for order, run in enumerate(planned):
             result = self._runner.run(run, self._look(trial, order, run))
             if "failure" in result:
-                raise CommandError(f"{run.name}: {result['failure']}")
+                raise TrialFailed(f"{run.name}: {result['failure']}")
             found.append(float(result["scores"][self._wanted.objective]))
         return statistics.fmean(found)
 
@@ -185,7 +194,7 @@ class Search:
                 except BlockingIOError:
                     if time.monotonic() > deadline:
                         raise CommandError(
-                            f"another worker has held {lock.name} for {LOCK_SECONDS:.0f} s, end it"
+                            f"another worker has held {lock.name} for {LOCK_SECONDS:.0f} s: stop it"
                         ) from None
                     time.sleep(POLL_SECONDS)
             yield
@@ -257,14 +266,20 @@ def _file_errors(file: Path) -> Iterator[None]:
 
 
 def _opened(file: Path, study: StudyFile) -> optuna.Study:
-    """Open the search in its SQLite file, new or as others left it."""
+    """Open the search in its SQLite file, new or as others left it; raises CommandError if it cannot."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     assert study.search is not None
-    storage = optuna.storages.RDBStorage(
-        f"sqlite:///{file}", engine_kwargs={"connect_args": {"timeout": LOCK_SECONDS}}
-    )
+    try:
+        storage = optuna.storages.RDBStorage(
+            f"sqlite:///{file}", engine_kwargs={"connect_args": {"timeout": LOCK_SECONDS}}
+        )
+    except RuntimeError:  # so it refuses the tables of another version
+        raise CommandError(
+            f"the file of the search {file} is of another version of Optuna than {optuna.__version__}: "
+            "install the version that began the search, or name another folder with --out"
+        ) from None
     return optuna.create_study(
         study_name=study.study.name,
         storage=storage,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from athrl_spaces.wording import counted
+
 from athrl.study.file import SCORES, ElsewhereSection, StudyFile
 from athrl.study.folder import StudyFolder
 from athrl.study.grid import name_elsewhere
@@ -82,8 +84,8 @@ def markdown_elsewhere(places: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 def _in_words(place: Mapping[str, Any]) -> str:
     """Say what is driven in a place."""
-    episodes = f", {place['episodes']} episodes" if place["episodes"] is not None else ""
+    episodes = f", {counted(place['episodes'], 'episode')}" if place["episodes"] is not None else ""
     if place["case_study"] is not None:
         return f"The case study {place['case_study']}{episodes}."
-    vehicles = f" with {place['vehicles']} vehicles" if place["vehicles"] is not None else ""
+    vehicles = f" with {counted(place['vehicles'], 'vehicle')}" if place["vehicles"] is not None else ""
     return f"{place['town']}{vehicles}{episodes}."

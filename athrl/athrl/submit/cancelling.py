@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+from athrl_spaces.wording import counted
+
 from athrl.errors import CommandError, say
 from athrl.submit import slurm
 from athrl.submit.learner_job import job_name
@@ -27,7 +29,7 @@ def cancel_run(run: str) -> None:
         raise CommandError(f"the run {run} has no jobs in Slurm's queue")
     _cancel(clients, CLIENT_SECONDS)
     _cancel([learner], LEARNER_SECONDS)
-    say(f"the {count} jobs of the run {run} are gone; to continue it: submit it again")
+    say(f"run {run}: {counted(count, 'job')} cancelled and gone; to continue it: submit it again")
 
 
 def _cancel(names: list[str], seconds: float) -> None:

@@ -16,7 +16,7 @@ trap 'stopping=${stopping:-slurm}' TERM
 serve() {
     for attempt in 1 2 3 4; do
         [ -z "$stopping" ] || return
-        [ "$attempt" = 1 ] || { echo "athrl: ended with code $code; starting it again" >&2; sleep "$attempt"; }
+        [ "$attempt" = 1 ] || { echo "athrl: ended with code $code; restarting it" >&2; sleep "$attempt"; }
         "$@" &
         service=$!
         wait "$service"

@@ -8,6 +8,8 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from athrl_spaces.wording import system_reason
+
 from athrl.errors import CommandError
 
 COMMANDS = ("sbatch", "squeue", "scancel", "scontrol")
@@ -126,12 +128,10 @@ def _call(words: list[str], given: str | None = None) -> str:
     except subprocess.TimeoutExpired:
         raise CommandError(
             f"Slurm: {words[0]} did not answer within {ANSWER_SECONDS:g} s: is its controller up? "
-            "scontrol ping tells"
+            "see scontrol ping"
         ) from None
     except OSError as error:
-        raise CommandError(
-            f"Slurm: cannot run {words[0]}: {(error.strerror or str(error)).lower()}"
-        ) from None
+        raise CommandError(f"Slurm: cannot run {words[0]}: {system_reason(error)}") from None
     if done.returncode:
         raise CommandError(f"Slurm: {_complaint(words[0], done.stderr) or f'{words[0]} failed'}")
     return done.stdout

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
+from athrl_spaces.wording import system_reason
+
 from athrl.certificate_files import write_file
 from athrl.certificates import complete
 from athrl.errors import CommandError
@@ -90,7 +92,7 @@ class Submission:
             given = None if self._run_file is None else self._run_file.read_bytes()
             (folder / LOGS).mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise CommandError(f"cannot write {folder}: {(error.strerror or str(error)).lower()}") from None
+            raise CommandError(f"cannot write {folder}: {system_reason(error)}") from None
         for job, script in self._scripts.items():
             write_file(script_path(folder, job), script.encode(), mode=0o755)
         if given is not None:

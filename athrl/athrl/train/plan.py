@@ -10,6 +10,7 @@ from pathlib import Path
 
 from athrl_protocol.run_file import EnvironmentSection, RunFile
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_json
+from athrl_spaces.wording import counted
 
 from athrl import runs
 from athrl.errors import CommandError
@@ -43,9 +44,9 @@ class CoreDivision:
     actors: int
 
     def __str__(self) -> str:
-        cores, threads = _counted(self.cores, "core"), _counted(self.threads, "thread")
+        cores, threads = counted(self.cores, "core"), counted(self.threads, "thread")
         drive = "drives" if self.actors == 1 else "drive"
-        actors = f"{_counted(self.actors, 'actor')} {drive} beside it"
+        actors = f"{counted(self.actors, 'actor')} {drive} beside it"
         return f"{cores}: the learner trains with {threads}, {actors}"
 
 
@@ -67,7 +68,7 @@ def divide_cores(cores: int, *, threads: int = 0, actors: int | None = None) -> 
     most = MOST_ACTORS_A_CORE * cores
     if actors is not None and actors > most:
         raise CommandError(
-            f"--actors {actors}: should be at most {most} on {_counted(cores, 'core')}; more drive on other "
+            f"--actors {actors}: should be at most {most} on {counted(cores, 'core')}; more drive on other "
             "machines, by athrl actor --connect"
         )
     fitting = 1 + max(0, cores - 1) // CORES_FOR_ANOTHER_ACTOR
@@ -77,10 +78,6 @@ def divide_cores(cores: int, *, threads: int = 0, actors: int | None = None) -> 
 def usable_cores() -> int:
     """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-def _counted(number: int, name: str) -> str:
-    return f"{number} {name}" if number == 1 else f"{number} {name}s"
 
 
 def require_services() -> None:

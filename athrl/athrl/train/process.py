@@ -11,6 +11,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from athrl_spaces.wording import system_reason
+
 from athrl.errors import CommandError
 from athrl.stopping import LIFELINE
 
@@ -54,7 +56,7 @@ class ServiceProcess:
             self.log.parent.mkdir(parents=True, exist_ok=True)
             log = self.log.open("ab")
         except OSError as error:
-            raise CommandError(f"cannot write {self.log}: {(error.strerror or str(error)).lower()}") from None
+            raise CommandError(f"cannot write {self.log}: {system_reason(error)}") from None
         with log:
             self._log_start = log.tell()
             try:
@@ -68,7 +70,7 @@ class ServiceProcess:
                     pass_fds=self.kept_open,
                 )
             except OSError as error:
-                reason = (error.strerror or str(error)).lower()
+                reason = system_reason(error)
                 raise CommandError(f"cannot start {self.name}: {reason}") from None
         self.started_at = time.monotonic()
         if self.niceness:
@@ -118,7 +120,7 @@ class ServiceProcess:
             self._process.stdin.close()
         if not self.wait(END_SECONDS):
             raise CommandError(
-                f"{self.name} was killed and is still there after {END_SECONDS:g} s: does a disk not answer?"
+                f"{self.name} was killed and still runs after {END_SECONDS:g} s: does a disk not answer?"
             )
 
     def last_lines(self, count: int = 5) -> list[str]:

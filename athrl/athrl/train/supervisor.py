@@ -118,7 +118,7 @@ class Supervisor:
             return
         if left:
             service.left_early += 1
-            self._say(f"{service.name} left before its learner ended; starting it again")
+            self._say(f"{service.name} left before its learner ended; restarting it")
         service.start()
 
     def _death_message(self, service: Service, code: int) -> str:

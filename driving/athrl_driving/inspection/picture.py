@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pygame
+from athrl_spaces.wording import system_reason
 from numpy.typing import NDArray
 
 from athrl_driving.errors import DrivingError
@@ -45,7 +46,7 @@ def draw_town(town: Town, picture: str | os.PathLike[str]) -> None:
     try:
         pygame.image.save(plan.surface, Path(picture))
     except (OSError, pygame.error) as error:
-        cause = getattr(error, "strerror", None) or str(error)
+        cause = system_reason(error) if isinstance(error, OSError) else str(error)
         raise DrivingError(f"{picture}: the picture could not be written: {cause}") from None
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from athrl_spaces import RANDOM_TOWNS, TOWNS, is_town, nearest_town, town_seed
 from athrl_spaces.untrusted import one_line, parser_errors
+from athrl_spaces.wording import counted
 from numpy.typing import NDArray
 
 from athrl_driving.maps.conflicts import relations_of
@@ -261,22 +262,22 @@ def _report(
         lost = sum(length for *_, length in left_out)
         _log.log(
             logging.WARNING if lost > LEFT_OUT_SHARE * metres else logging.INFO,
-            "%s: %.1f m of %d lanes (%.1f %%) left out, as they lead nowhere or nothing leads there: %s",
+            "%s: %.1f m of %s (%.1f %%) left out, as they lead nowhere or nothing leads there: %s",
             name,
             lost,
-            len(left_out),
+            counted(len(left_out), "lane"),
             100.0 * lost / metres,
             _names(sorted({road for road, *_ in left_out})),
         )
     if drivable.leaves:
         _log.info(
-            "%s: its roads end at the edge: vehicles enter on %d lanes and leave on %d",
+            "%s: its roads end at the edge: vehicles enter on %s and leave on %d",
             name,
-            len(drivable.enters),
+            counted(len(drivable.enters), "lane"),
             len(drivable.leaves),
         )
     if drivable.opened:
-        _log.info("%s: %d changes of lane allowed against the marks", name, drivable.opened)
+        _log.info("%s: %s of lane allowed against the marks", name, counted(drivable.opened, "change"))
 
 
 def _names(roads: list[str]) -> str:

@@ -11,6 +11,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from athrl_spaces.wording import system_reason
+
 from athrl_protocol.errors import ProtocolError
 from athrl_protocol.transport.address import split_address
 
@@ -31,7 +33,7 @@ def read_address(folder: Path) -> str | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise ProtocolError(f"cannot read {path}: {(error.strerror or str(error)).lower()}") from None
+        raise ProtocolError(f"cannot read {path}: {system_reason(error)}") from None
     try:
         split_address(address)
     except ProtocolError as error:
@@ -73,7 +75,7 @@ def address_announced(folder: Path, address: str) -> Iterator[None]:
     except OSError as error:
         with contextlib.suppress(OSError):
             part.unlink()
-        raise ProtocolError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from None
+        raise ProtocolError(f"cannot write {path}: {system_reason(error)}") from None
     try:
         yield
     finally:

@@ -149,7 +149,7 @@ def ask_for_name(
             return check_name(role, answer.decode(errors="replace"))
         if time.monotonic() > deadline:
             raise LearnerNotFound(
-                f"the learner at {address_of(session)} gives no name within {timeout:g} s: "
+                f"the learner at {address_of(session)} assigned no name within {timeout:g} s: "
                 "choose one with --name"
             )
         stop.wait(PAUSE_SECONDS)

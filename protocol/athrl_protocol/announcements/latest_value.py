@@ -135,28 +135,31 @@ class LatestPublisher(Closeable):
 
 
 class LatestSubscriber(Closeable):
-    """Keeps the newest value of each matching key.
+    """Takes the newest value of each matching key.
 
     Args:
         session: an open session, which stays the caller's.
         key: key expression; with wildcards every matching key has its own newest value.
         on_value: called with each new value, in order, from a thread of this object.
+        on_failure: called after an error, to wake callers that wait for a value.
 
-    Errors of `on_value` or of a thread of this object are logged, and raised as BackgroundFailed by `latest`
-    and `wait`.
+    Errors of `on_value` or of a thread of this object are logged, and raised as BackgroundFailed by `check`.
     """
 
     def __init__(
-        self, session: zenoh.Session, key: str, on_value: Callable[[bytes], None] | None = None
+        self,
+        session: zenoh.Session,
+        key: str,
+        on_value: Callable[[bytes], None],
+        on_failure: Callable[[], None] = lambda: None,
     ) -> None:
         self._on_value = on_value
         self._refusals = Refusals(f"a value under {key}", _log)
-        self._changed = threading.Condition()
-        self._background = Background(f"the subscription to {key}", _log, wake=self._wake)
+        self._lock = threading.RLock()  # of the versions, and while a value is delivered
+        self._background = Background(f"the subscription to {key}", _log, wake=on_failure)
         self._versions: dict[str, Version] = {}
         self._without_publisher: set[str] = set()
         self._asked_at = -math.inf  # last query because of a reminder
-        self._latest: bytes | None = None
         self._closed = threading.Event()
         self._cancel = zenoh.CancellationToken()
         self._session = session
@@ -171,21 +174,6 @@ class LatestSubscriber(Closeable):
             daemon=True,
         )
         self._asker.start()
-
-    def latest(self) -> bytes | None:
-        """Return the newest value (of the key that changed last), or None before the first."""
-        with self._changed:
-            self._background.check()
-            return self._latest
-
-    def wait(self, timeout: float) -> bytes | None:
-        """Wait until there is a value, at most `timeout` seconds; return it or None."""
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self._latest is not None or self._closed.is_set() or self._background.failed, timeout
-            )
-            self._background.check()
-            return self._latest
 
     def ask(self) -> None:
         """Query the newest values again and return at once; they are taken as if they had been sent.
@@ -203,23 +191,24 @@ class LatestSubscriber(Closeable):
             )
 
     def close(self) -> None:
-        """Stop listening; `latest` keeps its value."""
+        """Stop listening; no value is delivered afterwards."""
         self._closed.set()
         self._cancel.cancel()
         for declared in (self._publishers, self._subscriber):
             undeclare_quietly(declared)
-        with self._changed:
-            self._changed.notify_all()
+        with self._lock:  # the last delivery ends
+            pass
         if threading.current_thread() is not self._asker:
             self._asker.join(timeout=QUERY_SECONDS)
+
+    @property
+    def failed(self) -> bool:
+        """Whether a thread of this object or `on_value` failed."""
+        return self._background.failed
 
     def check(self) -> None:
         """Raise BackgroundFailed if a thread of this object or `on_value` failed."""
         self._background.check()
-
-    def _wake(self) -> None:
-        with self._changed:
-            self._changed.notify_all()
 
     def _take_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
@@ -243,26 +232,18 @@ class LatestSubscriber(Closeable):
             self._request_missed(key, version)
             return
         payload = sample.payload.to_bytes()
-        with self._changed:
+        with self._lock:
             if self._closed.is_set() or not self._is_newer(key, version):
                 return
             self._versions[key] = version
             self._without_publisher.discard(key)
-            self._latest = payload
-            self._changed.notify_all()
             # Within the lock, so that two threads (put and reply) cannot deliver values in the wrong order.
-            self._deliver(payload)
-
-    def _deliver(self, payload: bytes) -> None:
-        if self._on_value is None:
-            return
-        with self._background.watched():  # an error must not end the thread that keeps the newest value
             self._on_value(payload)
 
     def _request_missed(self, key: str, version: Version) -> None:
         """Query a value that was announced and did not arrive, unless it was queried just now."""
         now = time.monotonic()
-        with self._changed:
+        with self._lock:
             if not self._is_newer(key, version) or now - self._asked_at < REMINDED_SECONDS:
                 return
             self._asked_at = now
@@ -284,7 +265,7 @@ class LatestSubscriber(Closeable):
                     if event.kind == zenoh.SampleKind.PUT:
                         self._query(key)
                     else:
-                        with self._changed:
+                        with self._lock:
                             self._without_publisher.add(key)
                 except zenoh.ZError:
                     if self._closed.is_set() or self._session.is_closed():

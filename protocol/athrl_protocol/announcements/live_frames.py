@@ -60,10 +60,6 @@ class FrameSubscription(Closeable):
         """Stop watching."""
         undeclare_quietly(self._subscriber)
 
-    def check(self) -> None:
-        """Raise BackgroundFailed if `on_frame` raised anything."""
-        self._background.check()
-
     def _take(self, sample: zenoh.Sample) -> None:
         with self._background.watched():
             self._receive(sample)

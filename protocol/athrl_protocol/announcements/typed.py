@@ -69,7 +69,7 @@ class TypedSubscriber(Generic[_Value], Closeable):
         self._changed = threading.Condition()
         self._newest: _Value | None = None
         self._closed = False
-        self._subscriber = LatestSubscriber(session, key, self._take)
+        self._subscriber = LatestSubscriber(session, key, self._take, on_failure=self._wake)
 
     def newest(self) -> _Value | None:
         """Return the newest value, or None before the first."""
@@ -80,7 +80,9 @@ class TypedSubscriber(Generic[_Value], Closeable):
     def wait(self, timeout: float) -> _Value | None:
         """Wait until there is a value, at most `timeout` seconds; return it or None."""
         with self._changed:
-            self._changed.wait_for(lambda: self._newest is not None or self._closed, timeout)
+            self._changed.wait_for(
+                lambda: self._newest is not None or self._closed or self._subscriber.failed, timeout
+            )
             self._subscriber.check()
             return self._newest
 
@@ -93,6 +95,10 @@ class TypedSubscriber(Generic[_Value], Closeable):
         self._subscriber.close()
         with self._changed:
             self._closed = True
+            self._changed.notify_all()
+
+    def _wake(self) -> None:
+        with self._changed:
             self._changed.notify_all()
 
     def _take(self, payload: bytes) -> None:

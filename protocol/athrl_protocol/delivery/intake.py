@@ -265,7 +265,7 @@ class ChunkIntake(Closeable):
 
     def _fail(self, error: BaseException) -> None:
         """Accept no more chunks after an error of the learner itself, and keep it for the main thread."""
-        _log.error("a chunk was not taken in: %s", error, exc_info=error)
+        _log.error("a chunk was not accepted: %s", error, exc_info=error)
         self.failure = error
         self.stop_accepting(finished=False)
 
@@ -304,7 +304,7 @@ class ChunkIntake(Closeable):
         if settled.lost:
             self._warn(
                 f"chunks of {chunk.actor} are lost (intake/lost): it does not hold them any more, and they "
-                "were not taken in here; another process may have acknowledged them"
+                "were not accepted here; another process may have acknowledged them"
             )
 
     def _acknowledgement(self, next_sequence: int) -> athrl_pb2.Acknowledgement:

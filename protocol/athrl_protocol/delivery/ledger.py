@@ -222,7 +222,7 @@ class Ledger:
             raise InvalidMessage(
                 "incarnation",
                 f"chunk of actor {name!r}: incarnation {chunk.incarnation} may be one that was forgotten "
-                f"after {LIVING_SECONDS:.0f} s without a chunk: start the actor again",
+                f"after {LIVING_SECONDS:.0f} s without a chunk: restart the actor",
             )
         oldest = self._to_forget(name)
         if oldest is None:

@@ -74,11 +74,6 @@ class UploadWindow:
         """Whether the next chunk was already sent before."""
         return self._next < self._sent_up_to
 
-    @property
-    def next_sequence(self) -> int:
-        """Sequence of the next chunk to be added."""
-        return self._added
-
     def reserve(self) -> int:
         """Reserve a place for the next chunk; return its sequence."""
         self._held[self._added] = None
@@ -89,10 +84,6 @@ class UploadWindow:
         """Hold a chunk whose place was reserved, unless it has been given up."""
         if sequence in self._held:
             self._held[sequence] = encoded
-
-    def add(self, encoded: bytes) -> None:
-        """Hold a chunk that was encoded with `next_sequence`."""
-        self.put(self.reserve(), encoded)
 
     def take(self, largest: int | None = None) -> tuple[int, int, bytes] | None:
         """Return (sequence, oldest held sequence, encoded chunk) of the next chunk, or None.

@@ -20,6 +20,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
 
+from athrl_spaces.wording import system_reason
 from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
@@ -96,7 +97,7 @@ class MetricsEndpoint(Closeable):
             except OSError as error:
                 if self._closed.is_set():
                     return
-                self._warn(f"a connection for metrics was not accepted: {error.strerror or error}")
+                self._warn(f"a connection for metrics was not accepted: {system_reason(error)}")
                 self._closed.wait(POLL_SECONDS)
                 continue
             self._answer(connection)
@@ -208,7 +209,7 @@ def _listening(address: MetricsAddress) -> socket.socket:
                 f"cannot serve metrics at {address}: another process listens there; give each service of "
                 "this machine a port of its own"
             ) from None
-        reason = (error.strerror or str(error)).partition(" (while")[0].lower()
+        reason = system_reason(error).partition(" (while")[0]
         raise ProtocolError(f"cannot serve metrics at {address}: {reason}") from None
     except (TypeError, ValueError):  # so Python says that it cannot be encoded, or has a NUL character
         raise ProtocolError(f"cannot serve metrics at {str(address)!r}: that is no host's name") from None

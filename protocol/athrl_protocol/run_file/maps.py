@@ -11,6 +11,7 @@ import os
 from pathlib import Path
 
 from athrl_spaces import is_town
+from athrl_spaces.wording import system_reason
 
 from athrl_protocol.errors import RunFileError
 from athrl_protocol.run_file.root import RunFile
@@ -31,7 +32,7 @@ def with_whole_maps(run_file: RunFile) -> RunFile:
     for name, share in run_file.environment.towns.items():
         path = _whole_path(name)
         if path in towns:
-            raise RunFileError(f"environment.towns: {path} is there twice, should have each town once")
+            raise RunFileError(f"environment.towns: {path} appears twice, should have each town once")
         towns[path] = share
     try:
         towns = read_towns(towns)
@@ -87,4 +88,4 @@ def _checksum(path: Path) -> str:
     except FileNotFoundError:
         raise RunFileError(f"environment.towns: {path}: there is no such file on this machine") from None
     except OSError as error:
-        raise RunFileError(f"environment.towns: {path}: cannot be read: {error.strerror}") from None
+        raise RunFileError(f"environment.towns: {path}: cannot be read: {system_reason(error)}") from None

@@ -70,7 +70,7 @@ class EnvironmentSection(Section):
 
     towns: Towns = Field(
         default={"town03": 1.0},
-        description="Towns to drive in: town02, town03, town04, a random one like random-7, or the path of "
+        description="Towns to drive in: town02, town03, town04, a random one as random-7, or the path of "
         "an OpenDRIVE file, PATH.xodr; several with their shares of an actor's environments, "
         "{town03 = 2.0, town04 = 1.0}.",
         json_schema_extra={"expected": EXPECTED},
@@ -328,7 +328,7 @@ class NetworkSection(Section):
         default=30.0,
         gt=0,
         le=LONGEST_SECONDS,
-        description="Seconds after which an actor logs that no policy has come, or that the learner takes "
+        description="Seconds after which an actor logs that no policy has arrived, or that the learner takes "
         "nothing.",
     )
 

@@ -88,7 +88,7 @@ class _Monitor:
         background = Background("the monitor of connections", _log)
         while not self._ending.wait(POLL_SECONDS):
             with self._lock:
-                polled = [(session, session.events()) for session in self._sessions]
+                polled = [(session, _events_of(session, background)) for session in self._sessions]
                 self._sessions = [session for session, events in polled if events is not None]
                 is_over = not self._sessions
             happened = [event for _, events in polled for event in events or ()]
@@ -101,6 +101,13 @@ class _Monitor:
                         session.poll(events)
             if is_over:
                 return
+
+
+def _events_of(session: _Session, background: Background) -> list[zenoh.LinkEvent] | None:
+    """New events of a session; none if they cannot be read, as it may still be there."""
+    with background.watched():
+        return session.events()
+    return []
 
 
 _monitor = _Monitor()

@@ -57,7 +57,7 @@ def _reason(error: ssl.SSLError, shown: Certificates | None) -> str | None:
         # A server without TLS is reported elsewhere.
         return None if _is_no_tls(said) else "it asks for a certificate: name a folder with --certificates"
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"its certificate is not good ({error.verify_message.rstrip('.')}) by {shown.authority}"
+        return f"its certificate is not accepted by {shown.authority} ({error.verify_message.rstrip('.')})"
     if _is_no_tls(said):
         return "it speaks without encryption, and this service has certificates: give them to both or to none"
     if "alert" in said or "certificate" in said:

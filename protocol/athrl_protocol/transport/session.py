@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import zenoh
+from athrl_spaces.wording import system_reason
 
 from athrl_protocol.errors import AddressInUse, LearnerNotFound, NotAdmitted, ProtocolError
 from athrl_protocol.messages.limits import LARGEST_CHUNK, LARGEST_POLICY
@@ -221,7 +222,7 @@ def require_free(address: str) -> None:
             probe.listen(1)
     except OSError as error:
         if isinstance(error, socket.gaierror) or "in use" not in str(error):
-            raise ProtocolError(f"cannot listen at {address}: {error.strerror or error}") from None
+            raise ProtocolError(f"cannot listen at {address}: {system_reason(error)}") from None
         raise _in_use(address) from None
 
 
@@ -289,7 +290,7 @@ def _probe(address: str) -> str:
     except ConnectionRefusedError:
         return "no process listens there"
     except OSError as error:
-        return (error.strerror or str(error)).lower()
+        return system_reason(error)
     return ""
 
 

@@ -32,6 +32,7 @@ from athrl_protocol import (
 )
 from athrl_protocol.run_file import RunFile
 from athrl_protocol.transport.session import certificate_hint
+from athrl_spaces.wording import counted
 
 from athrl_actor.acknowledgement_watch import AcknowledgementWatch
 from athrl_actor.failures import FailureCount
@@ -138,7 +139,7 @@ class Actor:
         """Warn once that no policy came; a run has one from its start, so the actor may not be allowed to."""
         if self._rollout.policy_version < 0 and time.monotonic() > self._warn_at:
             patience = self._run_file.network.patience
-            log.warning("no policy has come for %g s%s", patience, self._certificate_hint)
+            log.warning("no policy has arrived for %g s%s", patience, self._certificate_hint)
             self._warn_at = math.inf
 
     def _may_drive(self) -> bool:
@@ -195,7 +196,7 @@ class Actor:
             watch = watch or AcknowledgementWatch(self._run_file.network.patience, acknowledged)
             overdue = watch.overdue_seconds(acknowledged)
             if overdue is not None:
-                log.warning("the learner has taken nothing for %.0f s; waiting for it", overdue)
+                log.warning("the learner has accepted nothing for %.0f s; waiting for it", overdue)
 
     def _drain(self) -> None:
         """Send the open chunks, wait briefly for acknowledgements, and report on all chunks."""
@@ -216,7 +217,7 @@ class Actor:
     def _report_remaining(self) -> None:
         left = len(self._pending) + self._uploader.statistics().waiting
         if left and not self._uploader.finished:
-            log.warning("%d chunks were not acknowledged within %.0f s", left, DRAIN_SECONDS)
+            log.warning("%s not acknowledged within %.0f s", counted(left, "chunk"), DRAIN_SECONDS)
         self._uploader.give_up(len(self._pending))
         self._pending.clear()
         self._uploader.close()

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 
 from athrl_driving.policy import EnvironmentFailure, EnvironmentStalled
+from athrl_spaces.wording import counted
 
 WINDOW_SECONDS = 600.0  # older failures do not count, so an actor may run for weeks
 
@@ -51,10 +52,10 @@ class FailureCount:
             self._recent.popleft()
         if len(self._recent) > self._allowed:
             raise TooManyFailures(
-                f"the environments failed {len(self._recent)} times within {WINDOW_SECONDS:.0f} s, "
-                f"actor.failures_allowed is {self._allowed}; the last time: {failure}"
+                f"the environments failed {counted(len(self._recent), 'time')} within "
+                f"{WINDOW_SECONDS:.0f} s, actor.failures_allowed is {self._allowed}; the last time: {failure}"
             )
-        log.warning("%s; %d episodes begin anew", failure, len(failure.env_indices))
+        log.warning("%s; restarting %s", failure, counted(len(failure.env_indices), "episode"))
 
     def report(self) -> dict[str, float]:
         """The counts since the actor started."""

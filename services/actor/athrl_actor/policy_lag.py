@@ -69,5 +69,5 @@ class PolicyLag:
                 self._bound,
             )
         if self._waiting and not too_far:
-            log.warning("going on with policy %d", deciding)
+            log.warning("continuing with policy %d", deciding)
         self._waiting = too_far

@@ -114,7 +114,7 @@ class Rollout:
             self._prepared = self._prepare(policy)
         elif policy.description != self._prepared.description:
             raise InvalidPolicy(
-                f"policy {update.version} is of another run than the one before: start the actor again"
+                f"policy {update.version} is of another run than the one before: restart the actor"
             )
         self._policy, self._update = policy, update
 

@@ -117,7 +117,7 @@ def test_environment_that_raises_is_reset_with_another_seed_and_counted(
     assert (values["environments_failed"], values["environments_stalled"]) == (2, 0)
     # Of both environments, both times; an episode that was just about to begin has none.
     assert values["chunks_dropped"] == 4 - steps.ended[5] - steps.ended[13]
-    assert "step raised ZeroDivisionError: a lane without length; 2 episodes begin anew" in caplog.text
+    assert "step raised ZeroDivisionError: a lane without length; restarting 2 episodes" in caplog.text
     driving.stop.set()
     driving.join()
     assert driving.error is None
@@ -155,7 +155,7 @@ def test_environment_that_stalls_is_abandoned_and_driving_continues(
     )
     before = len(learner.chunks)
     learner.wait_for_chunks(before + 10)
-    assert "step did not return within 0.5 s; 2 episodes begin anew" in caplog.text
+    assert "step did not return within 0.5 s; restarting 2 episodes" in caplog.text
     driving.stop.set()
     driving.join()
     assert driving.error is None
@@ -220,4 +220,4 @@ def test_time_in_which_the_process_was_paused_is_no_stall(monkeypatch) -> None:
 def test_failures_are_told_in_the_log_with_their_reason(caplog) -> None:
     with caplog.at_level(logging.WARNING):
         FailureCount(1).add(EnvironmentRaised("reset of environment 3 raised ValueError: no room", [3]), 0)
-    assert caplog.messages == ["reset of environment 3 raised ValueError: no room; 1 episodes begin anew"]
+    assert caplog.messages == ["reset of environment 3 raised ValueError: no room; restarting 1 episode"]

@@ -99,7 +99,7 @@ def test_actor_too_far_behind_waits_and_continues_with_a_newer_policy(learner, d
     learner.publish(32)
     learner.wait_for_chunks(before + 4)
     assert learner.chunks[-1].policy_version[0] == 32
-    assert "going on with policy 32" in caplog.text
+    assert "continuing with policy 32" in caplog.text
     assert learner.wait_for(lambda: last(learner)["policy_lag_versions"] == 0)
 
 

@@ -67,7 +67,7 @@ def test_actor_whose_environments_stall_repeatedly_exits_with_code_2(learner, tm
         "step did not return within 0.5 s"
     )
     assert not any("Traceback" in line for line in lines)
-    assert sum("2 episodes begin anew" in line for line in lines) == 2
+    assert sum("restarting 2 episodes" in line for line in lines) == 2
     assert learner.wait_for(lambda: learner.reports[-1].values["environments_stalled"] == 3)
     values = learner.reports[-1].values  # its last words account for every chunk
     assert values["chunks_produced"] == values["chunks_acknowledged"] == len(learner.chunks) > 0

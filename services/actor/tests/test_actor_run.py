@@ -352,7 +352,7 @@ def test_policy_that_never_arrives_is_warned_of_once(learner, start: Start, capl
     start()
     assert learner.wait_for(lambda: len(learner.reports) >= 3)
     assert [record.message for record in caplog.records if "no policy" in record.message] == [
-        "no policy has come for 0.5 s"
+        "no policy has arrived for 0.5 s"
     ]
     learner.publish(0)
     learner.wait_for_chunks(1)

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from athrl_spaces.wording import system_reason
+
 
 class EvaluatorError(RuntimeError):
     """An error that the user can fix, such as a full disk; its message is one line."""
@@ -17,4 +19,4 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise EvaluatorError(f"cannot write {path}: {error.strerror}") from error
+        raise EvaluatorError(f"cannot write {path}: {system_reason(error)}") from error

@@ -144,7 +144,7 @@ class Evaluator(EpisodeObserver):
         if compared_decisions(self._folder.path) != state.environment_steps:
             update = self._last_policy(state)
             if update is None:
-                log.warning("the run is finished, but its policy did not come: no comparison")
+                log.warning("the run is finished, but its policy did not arrive: no comparison")
                 return
             self._scoring.compare(update, self._stop)
         log.info("the run is finished, and its comparison is in %s", self._folder.path)

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from athrl_protocol.faults.bounded_log import RareLog
+from athrl_spaces.wording import system_reason
 from tensorboard.compat.proto.event_pb2 import Event  # type: ignore[import-untyped]
 from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore[import-untyped]
 from tensorboard.summary.writer.record_writer import RecordWriter  # type: ignore[import-untyped]
@@ -67,7 +68,9 @@ class EventFiles:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             append(content.getvalue(), self._path)
         except OSError as error:
-            self._warn(f"cannot write {self._path}: {error.strerror}; curves go on when it can")
+            self._warn(
+                f"cannot write {self._path}: {system_reason(error)}; curves continue when it can be written"
+            )
         else:
             self._begun = True
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import select
 import shutil
 import subprocess
 import tempfile
@@ -41,6 +42,8 @@ QUALITY = 18
 """x264's constant rate factor: to 18 no loss is seen, and each 6 more halve the file."""
 FINISH_SECONDS = 120
 """Within which ffmpeg completes the file."""
+STALL_SECONDS = 60.0
+"""Longest time in which ffmpeg takes nothing of a picture, as when its disk does not answer."""
 
 _PLACE = re.compile(r"^\[[^]]*\] ")  # where in ffmpeg, before what it says
 
@@ -165,6 +168,7 @@ def _written(
             part.touch()
             ffmpeg = subprocess.Popen(
                 _command(part, size, pictures_a_second),
+                bufsize=0,
                 stdin=subprocess.PIPE,
                 stdout=said,
                 stderr=said,
@@ -173,7 +177,8 @@ def _written(
             try:
                 with suppress(BrokenPipeError):  # ffmpeg says why it has ended
                     stream = cast(IO[bytes], ffmpeg.stdin)
-                    yield lambda picture: stream.write(picture.tobytes())
+                    os.set_blocking(stream.fileno(), False)
+                    yield lambda picture: _feed(stream.fileno(), picture, path)
                     stream.close()
                 failed = ffmpeg.wait(FINISH_SECONDS) != 0
             except subprocess.TimeoutExpired:
@@ -190,6 +195,17 @@ def _written(
         finally:
             with suppress(OSError):
                 part.unlink(missing_ok=True)
+
+
+def _feed(pipe: int, picture: Picture, path: Path) -> None:
+    """Write a picture into a pipe that does not block, in as many pieces as ffmpeg takes it."""
+    waiting = select.poll()
+    waiting.register(pipe, select.POLLOUT)
+    rest = memoryview(picture.tobytes())
+    while rest:
+        if not waiting.poll(1000 * STALL_SECONDS):
+            raise EvaluatorError(f"cannot write {path}: ffmpeg takes no picture within {STALL_SECONDS:g} s")
+        rest = rest[os.write(pipe, rest) :]
 
 
 def _command(part: Path, size: tuple[int, int], pictures_a_second: float) -> list[str]:

@@ -101,7 +101,7 @@ def test_a_chunk_that_unpacks_to_gigabytes_takes_little_memory(
     [
         (chunk(FRAME, "brotli", bytes), "a chunk is packed as 'brotli'; it should be zstd or lz4"),
         (chunk(FRAME, uncompressed_crc=7), "a chunk's checksum is wrong"),
-        (chunk(FRAME, uncompressed_size=len(FRAME) + 1), "a chunk has another size than it says"),
+        (chunk(FRAME, uncompressed_size=len(FRAME) + 1), "a chunk does not have the size that it states"),
         (chunk(FRAME, pack=lambda content: b"no zstd" + content), "damaged"),
         (chunk(FRAME, "lz4", bytes), "damaged"),
         (struct.pack("<BQ", Opcode.CHUNK, 2**64 - 1), "it ends within a record"),

@@ -48,7 +48,7 @@ def fill(disk: Path) -> Path:
 def test_recordings_that_were_asked_for_and_do_not_fit_end_the_evaluation_and_leave_no_half_file(small_disk):
     fill(small_disk)
     settings = EvaluationSettings(episodes=2, seed=1, environment=ENVIRONMENT)
-    with pytest.raises(EvaluatorError, match=r"^cannot write .*/rule-based-seed-\d\.mcap: No space left"):
+    with pytest.raises(EvaluatorError, match=r"^cannot write .*/rule-based-seed-\d\.mcap: no space left"):
         evaluate_driver("rule-based", settings, record=small_disk)
     assert not list(small_disk.glob("*.mcap*"))
 
@@ -76,7 +76,7 @@ def test_curves_have_a_gap_where_the_disk_was_full_and_continue_after_it(small_d
     (small_disk / "rest").write_bytes(bytes(shutil.disk_usage(small_disk).free))
     for step in range(50):
         files.add("learner", {"loss": float(step)}, step, 1.0)
-    assert caplog.text.count("No space left on device; curves go on when it can") == 1
+    assert caplog.text.count("no space left on device; curves continue when it can be written") == 1
     ballast.unlink()
     files.add("learner", {"loss": 7.0}, 100, 2.0)
     read = EventAccumulator(str(small_disk / "tensorboard"))
@@ -98,7 +98,7 @@ def test_a_full_disk_is_one_line_a_minute_whatever_does_not_fit(small_disk, capl
 
 def test_a_folder_of_results_that_cannot_be_made_is_named(tmp_path: Path):
     (tmp_path / "README.md").write_text("no folder")
-    with pytest.raises(EvaluatorError, match=r"^cannot write .*README\.md/run/recordings: Not a directory$"):
+    with pytest.raises(EvaluatorError, match=r"^cannot write .*README\.md/run/recordings: not a directory$"):
         ResultsFolder(tmp_path / "README.md", "run")
 
 
@@ -115,8 +115,8 @@ def test_a_result_that_the_disk_does_not_take_is_written_when_there_is_room(smal
     whole, ballast = lines.read_bytes(), fill(small_disk)
     folder.add(second)
     assert lines.read_bytes() == whole
-    assert "No space left on device; the result is kept for later" in caplog.text
-    with pytest.raises(EvaluatorError, match=r"cannot write .*evaluation\.json: No space left"):
+    assert "no space left on device; the result is kept for later" in caplog.text
+    with pytest.raises(EvaluatorError, match=r"cannot write .*evaluation\.json: no space left"):
         folder.write_comparison("run", [first])
     assert not list(small_disk.glob("**/evaluation.json*"))
     ballast.unlink()

@@ -123,7 +123,7 @@ def refused(*_: object, **__: object) -> None:
 
 def test_a_recording_that_cannot_be_begun_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Writer, "add_metadata", refused)
-    with pytest.raises(EvaluatorError, match=r"^cannot write .*a\.mcap: Read-only file system$"):
+    with pytest.raises(EvaluatorError, match=r"^cannot write .*a\.mcap: read-only file system$"):
         EpisodeRecording(tmp_path / "a.mcap", Origin(1, {"town": "town02"}, "", "", "", "", ""))
     assert os.listdir(tmp_path) == []
 
@@ -139,7 +139,7 @@ def test_recordings_that_cannot_be_removed_end_no_evaluation(tmp_path: Path, mon
         recorder._open[number] = EpisodeRecording(tmp_path / f"{number}.mcap")
     monkeypatch.setattr(Path, "unlink", refused)
     recorder.on_end(0, None)
-    assert told == [f"cannot remove {older}: Read-only file system; this evaluation is not recorded any more"]
+    assert told == [f"cannot remove {older}: read-only file system; this evaluation is not recorded any more"]
 
 
 def test_the_oldest_recordings_are_removed(tmp_path: Path):

@@ -70,6 +70,20 @@ def test_a_video_that_is_not_completed_in_time_leaves_nothing_and_one_line(
     assert list(tmp_path.iterdir()) == [endless]
 
 
+def test_a_picture_that_ffmpeg_does_not_take_in_time_leaves_nothing_and_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    idle = tmp_path / "ffmpeg"
+    idle.write_text("#!/bin/sh\nexec sleep 200\n")
+    idle.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(idle))
+    monkeypatch.setattr(video, "STALL_SECONDS", 0.2)
+    refused = pytest.raises(EvaluatorError, match=r"a.mp4: ffmpeg takes no picture within 0.2 s$")
+    with refused, video._written(tmp_path / "a.mp4", (256, 256), 10.0, overwrite=False) as write:
+        write(np.zeros((256, 256, 3), np.uint8))
+    assert list(tmp_path.iterdir()) == [idle]
+
+
 def test_what_is_there_is_only_replaced_when_told_and_by_a_whole_video(tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(b"mine")
@@ -88,7 +102,7 @@ def test_what_is_there_is_only_replaced_when_told_and_by_a_whole_video(tmp_path:
 def test_a_video_that_cannot_be_written_leaves_nothing_and_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(EvaluatorError, match=r"cannot write .*gone/a.mp4: No such file or directory"):
+    with pytest.raises(EvaluatorError, match=r"cannot write .*gone/a.mp4: no such file or directory"):
         film("blind", SHOT, tmp_path / "gone" / "a.mp4", threading.Event())
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/no/such/ffmpeg")
     with pytest.raises(EvaluatorError, match=r"^there is no program /no/such/ffmpeg that can be run: "):

@@ -12,6 +12,7 @@ from athrl_planners import PolicyExporter
 from athrl_protocol import PolicyUpdate
 from athrl_spaces.policy import LARGEST_ARTEFACT
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_json
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import WrongPlanner
 from athrl_learner.intake.arrivals import Arrivals
@@ -120,4 +121,4 @@ class Publication:
             write_atomically(self._folder.latest_policy_facts, json.dumps(facts, indent=1).encode())
             write_atomically(self._folder.latest_policy, update.artefact)
         except OSError as error:
-            self._warn(f"cannot write {self._folder.latest_policy}: {error.strerror}")
+            self._warn(f"cannot write {self._folder.latest_policy}: {system_reason(error)}")

@@ -16,6 +16,7 @@ from athrl_protocol.run_file import saved_toml
 from athrl_protocol.run_file.document import read_document
 from athrl_protocol.run_file.toml_values import to_toml_value
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_untrusted
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import LearnerError
 from athrl_learner.run_folder import RunFolder, write_atomically
@@ -132,4 +133,4 @@ def _write(path: Path, changes: list[Change]) -> None:
     try:
         write_atomically(path, text.encode())
     except OSError as error:
-        raise LearnerError(f"cannot write {path}: {error.strerror}") from None
+        raise LearnerError(f"cannot write {path}: {system_reason(error)}") from None

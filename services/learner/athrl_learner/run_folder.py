@@ -9,6 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from athrl_spaces.wording import system_reason
+
 from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
 from athrl_learner.files import Files, write_whole
 
@@ -67,7 +69,7 @@ class RunFolder:
             self._made = _made_folders(self.path)
             lock = self._lock_path.open("ab")
         except OSError as error:
-            raise LearnerError(f"cannot write the run folder {self.path}: {error.strerror}") from None
+            raise LearnerError(f"cannot write the run folder {self.path}: {system_reason(error)}") from None
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -78,8 +80,8 @@ class RunFolder:
         except OSError as error:  # for instance of a network file system that is mounted without locks
             lock.close()
             raise LearnerError(
-                f"cannot lock {self._lock_path}: {error.strerror}; mount its file system with locks, or "
-                "choose another run.folder"
+                f"cannot lock {self._lock_path}: {system_reason(error)}; mount its file system with locks, "
+                "or choose another run.folder"
             ) from None
         return lock
 
@@ -127,7 +129,7 @@ class RunFolder:
             if not self._holds(run_toml.encode()):  # a run that is resumed unchanged needs no disk space
                 write_atomically(self.run_toml, run_toml.encode())
         except OSError as error:
-            raise LearnerError(f"cannot write the run folder {self.path}: {error.strerror}") from None
+            raise LearnerError(f"cannot write the run folder {self.path}: {system_reason(error)}") from None
 
     def _holds(self, run_toml: bytes) -> bool:
         return self.run_toml.is_file() and self.run_toml.read_bytes() == run_toml

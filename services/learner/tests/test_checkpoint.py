@@ -229,7 +229,7 @@ def test_a_disk_that_refuses_leaves_the_checkpoints_before(tmp_path, faults):
     for operation in range(complete.operations - 1):  # the last one brings the new name to the disk
         folder = tmp_path / str(operation)
         write_checkpoint(folder, content(1))
-        with pytest.raises(CheckpointFailed, match="Input/output error"):
+        with pytest.raises(CheckpointFailed, match="input/output error"):
             write_checkpoint(folder, content(2), faults.FaultyFiles(fails_at=operation))
         assert newest_intact_checkpoint(folder)[1].state["number"] == 1
 

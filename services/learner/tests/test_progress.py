@@ -145,7 +145,7 @@ def test_pause_that_was_left_out_is_told_later_and_its_end_only_then(
     lines: list[str] = []
     warn = RareLog(lines.append, clock=clock)
     disk_space = DiskSpace(warn, clock)
-    warn("cannot write latest.onnx: No space left on device")
+    warn("cannot write latest.onnx: no space left on device")
     disk_space.report_full("the disk is full")
     disk_space.report_free()
     assert "intake continues" not in caplog.text

@@ -107,5 +107,5 @@ def test_file_system_without_locks_is_refused_in_one_line(tmp_path, monkeypatch)
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", refuse)
-    with pytest.raises(LearnerError, match=r"cannot lock .*learner\.lock: No locks available; mount"):
+    with pytest.raises(LearnerError, match=r"cannot lock .*learner\.lock: no locks available; mount"):
         RunFolder(tmp_path / "run").__enter__()

@@ -31,7 +31,7 @@ def _require_recorded_sha256(path: Path) -> None:
             return
         if time.monotonic() > until:
             raise InvalidPolicy(
-                f"{path} is not the policy of which {_facts_of(path).name} beside it tells: its SHA-256 is "
+                f"{path} is not the policy that {_facts_of(path).name} beside it describes: its SHA-256 is "
                 f"{found}, it should be {recorded}; give the file as its learner wrote it"
             )
         time.sleep(PAUSE_SECONDS)

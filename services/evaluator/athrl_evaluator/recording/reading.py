@@ -198,14 +198,14 @@ def _unpack(chunk: Chunk) -> bytes:
             data = packed
         case "zstd":
             if zstandard.frame_content_size(packed) not in (size, -1):  # -1: not announced
-                raise ValueError("a chunk has another size than it says")
+                raise ValueError("a chunk does not have the size that it states")
             data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
         case "lz4":
             data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
         case other:
             raise ValueError(f"a chunk is packed as {other[:20]!r}; it should be zstd or lz4")
     if len(data) != size:
-        raise ValueError("a chunk has another size than it says")
+        raise ValueError("a chunk does not have the size that it states")
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):  # 0: none was written
         raise ValueError("a chunk's checksum is wrong")
     return data

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from athrl_protocol import Frame, encode_frame
+from athrl_spaces.wording import system_reason
 from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
 from mcap.writer import CompressionType
 from mcap_protobuf.writer import Writer
@@ -96,4 +97,4 @@ def prune_recordings(folder: Path, kept: int) -> None:
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
-            raise EvaluatorError(f"cannot remove {path}: {error.strerror}") from None
+            raise EvaluatorError(f"cannot remove {path}: {system_reason(error)}") from None

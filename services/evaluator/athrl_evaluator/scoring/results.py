@@ -13,6 +13,7 @@ from typing import Any
 
 from athrl_protocol import EvaluationResult
 from athrl_protocol.faults.bounded_log import RareLog
+from athrl_spaces.wording import system_reason
 
 from athrl_evaluator.errors import writing
 
@@ -46,7 +47,7 @@ class ResultsFolder:
         try:
             append("".join(self._unwritten).encode(), self._lines)
         except OSError as error:
-            self.warn(f"cannot write {self._lines}: {error.strerror}; the result is kept for later")
+            self.warn(f"cannot write {self._lines}: {system_reason(error)}; the result is kept for later")
         else:
             self._unwritten.clear()
 

@@ -23,6 +23,7 @@ from urllib.parse import quote
 
 import rerun_cli  # type: ignore[import-untyped]
 from athrl_protocol import AddressInUse, ProtocolError
+from athrl_spaces.wording import system_reason
 
 START_SECONDS = 30.0
 END_SECONDS = 5.0
@@ -202,7 +203,7 @@ def _check_free(bind: str, port: int) -> None:
             if error.errno == errno.EADDRNOTAVAIL:
                 raise ProtocolError(f"--bind {bind}: this machine has no such address") from None
             raise AddressInUse(
-                f"cannot serve rerun at {bind}:{port}: {error.strerror}; use another port"
+                f"cannot serve rerun at {bind}:{port}: {system_reason(error)}; use another port"
             ) from None
 
 

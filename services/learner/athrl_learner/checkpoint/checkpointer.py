@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from athrl_spaces.wording import system_reason
+
 from athrl_learner.checkpoint import BestCheckpoint, CheckpointContent, remove_unneeded, write_checkpoint
 from athrl_learner.errors import CheckpointFailed, LogFailed
 from athrl_learner.files import Files
@@ -112,7 +114,7 @@ class Checkpointer:
             needed = needed_segments(kept.newest, kept.others)
             self._experience.keep_only(needed.oldest, needed.named)
         except OSError as error:
-            self._warn(f"cannot clear {self._folder} of old checkpoints: {error.strerror}")
+            self._warn(f"cannot clear {self._folder} of old checkpoints: {system_reason(error)}")
             return
         if kept.best != self._logged_best:
             self._logged_best = kept.best

@@ -115,7 +115,7 @@ def _differences(before: PolicyDescription, now: PolicyDescription) -> Iterator[
         if _decided(was) != _decided(level):
             yield f"its level {was.name} decided {_decided(was)}, the planner's decides {_decided(level)}"
         if was.rewarded != level.rewarded:
-            yield (f"its level {was.name} was paid {_paid(was)}, the planner's is paid {_paid(level)}")
+            yield f"its level {was.name} was rewarded by {_reward(was)}, the planner's is by {_reward(level)}"
         if was.state_size != level.state_size:
             yield (
                 f"its level {was.name} remembered {was.state_size} numbers, the planner's remembers "
@@ -123,7 +123,7 @@ def _differences(before: PolicyDescription, now: PolicyDescription) -> Iterator[
             )
 
 
-def _paid(level: LevelDescription) -> str:
+def _reward(level: LevelDescription) -> str:
     return " + ".join(level.rewarded) or "the task's reward"
 
 

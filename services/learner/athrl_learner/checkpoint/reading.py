@@ -132,7 +132,7 @@ def read_manifest(checkpoint: Path) -> Manifest:
     with _damage_of(path):
         values = json.loads(read_untrusted(path, MOST_JSON_BYTES))
         if values["sha256"] != manifest_checksum(values):
-            raise ValueError("its checksum is another one")
+            raise ValueError("its checksum differs")
         # After the checksum, so that a flipped bit does not look like another release.
         version = count_of(values["format"])
         if version != FORMAT:

@@ -20,6 +20,7 @@ from athrl_protocol import Chunk, InvalidMessage, decode_chunk
 from athrl_protocol.delivery.ledger import Gap, Known, Ledger, New
 from athrl_protocol.faults.bounded_log import BoundedLog
 from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.wording import counted
 
 from athrl_learner.errors import CannotResume, SettingsDoNotFit
 from athrl_learner.files import Files
@@ -90,9 +91,9 @@ class Recovery:
         last = max([*self._paths, self._position.next_segment - 1])
         self._store.log.continue_from(last + 1, self._expected, self._facts)
         if self.chunks:
-            log.info("%d chunks after the checkpoint are restored from the log", self.chunks)
+            log.info("restored %s after the checkpoint from the log", counted(self.chunks, "chunk"))
         if self.damaged:
-            log.warning("%d records of the log %s are damaged", self.damaged, self._store.log.folder)
+            log.warning("the log %s has %s", self._store.log.folder, counted(self.damaged, "damaged record"))
 
     def _checkpointed_sequences(self) -> Iterator[Sequence]:
         """The sequences that were in the replay, oldest first."""
@@ -110,7 +111,7 @@ class Recovery:
     def _continue_from_checkpoint(self) -> None:
         if self.damaged:
             raise CannotResume(
-                f"{self.damaged} records of the log {self._store.log.folder} are damaged or missing: "
+                f"the log {self._store.log.folder} has {counted(self.damaged, 'damaged or missing record')}: "
                 "the run would not be the same; start a new run under another run.name"
             )
         self._store.log.continue_from(self._position.next_segment, self._position.next_record, self._facts)

@@ -33,7 +33,7 @@ def checkpoint_to_resume(
     found = newest_intact_checkpoint(folder.checkpoints, folder.experience)
     if found is None:
         log.warning(
-            "%s has no checkpoint yet: training starts again%s",
+            "%s has no checkpoint yet: training restarts%s",
             folder.path,
             "" if serial else ", with the experience in its log",
         )

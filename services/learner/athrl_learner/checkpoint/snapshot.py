@@ -12,6 +12,7 @@ from athrl_planners import Agent
 from athrl_protocol import RunFile
 from athrl_protocol.delivery.ledger import Ledger
 from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.checkpoint import CheckpointContent
 from athrl_learner.checkpoint.recovery import LaterExperience, Recovery
@@ -112,7 +113,7 @@ def restore_snapshot(
             )
             store.limiter.resume()
     except OSError as error:
-        raise CannotResume(f"cannot read the log {store.log.folder}: {error.strerror}") from None
+        raise CannotResume(f"cannot read the log {store.log.folder}: {system_reason(error)}") from None
     if store.limiter.warmed_up and not len(store.replay):
         # The limiter would permit samples from an empty replay.
         raise CannotResume(

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.checkpoint.content import (
     ACTOR,
@@ -48,7 +49,7 @@ def write_checkpoint(folder: Path, content: CheckpointContent, files: Files | No
     except OSError as error:
         with contextlib.suppress(OSError):
             files.remove_folder(part)
-        raise CheckpointFailed(f"cannot write the checkpoint {final}: {error.strerror or error}") from None
+        raise CheckpointFailed(f"cannot write the checkpoint {final}: {system_reason(error)}") from None
     return final
 
 

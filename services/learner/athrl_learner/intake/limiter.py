@@ -121,7 +121,7 @@ class SamplesPerInsert:
         may_sample = self.permits_sample(self.largest_sample)
         if self.closed:
             owed = max(0, round(self.surplus))
-            return f"all experience is in; {owed} samples are still owed" if may_sample else ""
+            return f"all experience has arrived; {owed} samples are still owed" if may_sample else ""
         if not self.warmed_up:
             return f"the learner waits for the warm-up: {self.inserts} of {self.minimum_inserts} transitions"
         if not may_sample:

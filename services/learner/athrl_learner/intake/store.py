@@ -146,9 +146,9 @@ class ExperienceStore:
             if self.limiter.permits_insert(self.limiter.largest_insert):  # actors wait for the disk, or left
                 return
             raise Deadlock(
-                f"actors and learner have waited for each other for {lasting:.0f} s: the limiter lets none "
-                f"continue after {self.limiter.inserts} inserts and {self.limiter.samples} samples "
-                f"(surplus {self.limiter.surplus:g}, bound {self.limiter.error_bound:g})"
+                f"actors and learner have waited for each other for {lasting:.0f} s: the limiter permits "
+                f"neither to continue after {self.limiter.inserts} inserts and {self.limiter.samples} "
+                f"samples (surplus {self.limiter.surplus:g}, bound {self.limiter.error_bound:g})"
             )
 
     def waiting_text(self) -> str:

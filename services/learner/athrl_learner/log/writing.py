@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
+from athrl_spaces.wording import system_reason
+
 from athrl_learner.errors import DiskFull, LogFailed
 from athrl_learner.files import NO_SPACE, Files, WritableFile
 from athrl_learner.log.records import Kind, encode_header
@@ -167,7 +169,7 @@ class SegmentLog:
             except OSError as error:
                 # A second try could succeed without effect: the kernel has dropped what it could not write.
                 self._failed = LogFailed(
-                    f"cannot sync the log {self.folder} to the disk: {error.strerror or error}"
+                    f"cannot sync the log {self.folder} to the disk: {system_reason(error)}"
                 )
                 raise self._failed from None
 
@@ -208,7 +210,7 @@ class SegmentLog:
             for path in reversed(later):  # so that a kill leaves no gap
                 self._files.remove(path)
         except OSError as error:
-            raise LogFailed(f"cannot remove {path}: {error.strerror or error}") from None
+            raise LogFailed(f"cannot remove {path}: {system_reason(error)}") from None
         return len(later)
 
     def close(self) -> None:
@@ -269,7 +271,7 @@ class SegmentLog:
     def _refusal(self, error: OSError) -> DiskFull | LogFailed:
         if error.errno in NO_SPACE:
             return DiskFull(f"the disk of {self.folder} is full: make room")
-        return LogFailed(f"cannot write the log {self.folder}: {error.strerror}")
+        return LogFailed(f"cannot write the log {self.folder}: {system_reason(error)}")
 
     def _seal(self) -> None:
         if self._current is None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from athrl_protocol import EvaluationResult, Phase, RunState
+from athrl_spaces.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +78,7 @@ def with_silent_actors(state: RunState, actors: int) -> RunState:
     """The state with what its first actors may be doing, while they have sent nothing yet."""
     if state.phase is not Phase.WARMING_UP or state.environment_steps or not actors:
         return state
-    have = "1 actor has" if actors == 1 else f"{actors} actors have"
+    have = f"{counted(actors, 'actor')} {'has' if actors == 1 else 'have'}"
     silent = f"{have} joined and sent nothing yet: at its first start an actor compiles for about a minute"
     return replace(state, waiting=f"{state.waiting}; {silent}" if state.waiting else silent)
 
@@ -90,7 +91,7 @@ def progress_line(state: RunState, metrics: Mapping[str, float], result: Evaluat
         f"({metrics['environment_steps_per_second']:.0f}/s)",
         f"{state.updates} updates ({metrics['updates_per_second']:.1f}/s)",
         f"policy {state.policy_version}",
-        f"{actors or 'no'} actor{'' if actors == 1 else 's'}",
+        counted(actors, "actor") if actors else "no actors",
     ]
     if result is not None:
         scores = _in_words(result.scores, _RETURN)

@@ -9,6 +9,7 @@ import torch
 from athrl_planners import Agent
 from athrl_planners.training.precision import faster_precision
 from athrl_protocol import RunFile
+from athrl_spaces.wording import counted
 
 from athrl_learner.errors import NoSuchDevice
 
@@ -51,7 +52,7 @@ def update_precision(run_file: RunFile) -> torch.dtype:
 
     A serial run does not measure time, so `auto` is float32 there.
     """
-    wanted, threads = run_file.learner.precision, f"with {_counted(training_threads(run_file), 'thread')}"
+    wanted, threads = run_file.learner.precision, f"with {counted(training_threads(run_file), 'thread')}"
     if wanted != "auto":
         log.info("updates in %s, as learner.precision says, %s", wanted, threads)
         return torch.bfloat16 if wanted == "bfloat16" else torch.float32
@@ -81,7 +82,3 @@ def log_device(run_file: RunFile) -> None:
 
 def _why_none() -> str:
     return "is built without CUDA" if torch.version.cuda is None else "finds no CUDA device here"
-
-
-def _counted(number: int, name: str) -> str:
-    return f"{number} {name}" if number == 1 else f"{number} {name}s"

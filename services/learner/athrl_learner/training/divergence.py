@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from athrl_planners import Batch
+from athrl_spaces.wording import system_reason
 
 from athrl_learner.checkpoint.content import numbered_checkpoints
 from athrl_learner.errors import Diverged
@@ -35,7 +36,7 @@ def diverged(folder: RunFolder, what: str, updates: int, batch: Batch | None) ->
             write_whole(Files(), path, content.getvalue())
             written = f"its batch is in {path}"
         except OSError as error:
-            log.warning("cannot write %s: %s", path, error.strerror)
+            log.warning("cannot write %s: %s", path, system_reason(error))
     return Diverged(
         f"training has diverged: {what}; {kept}, {written}. Resume with a smaller planner.learning_rate"
     )

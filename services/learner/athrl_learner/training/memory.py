@@ -49,7 +49,7 @@ def require_memory(wanted: int, capacity: int) -> None:
         np.empty(wanted, np.uint8)
     except (MemoryError, ValueError):  # the latter if it exceeds the size of any array
         has = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        raise _too_little(wanted, capacity, f"this machine can give of its {has / 2**30:.1f}") from None
+        raise _too_little(wanted, capacity, f"this machine has free of its {has / 2**30:.1f}") from None
 
 
 def container_limit() -> int | None:
