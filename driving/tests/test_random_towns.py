@@ -1,10 +1,13 @@
 """What the random towns promise: towns by a number, the same everywhere, each fit to be driven in."""
 
 import copy
+import gc
 import hashlib
 import math
 import pickle
+import weakref
 from importlib.metadata import files
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -13,6 +16,9 @@ import xmlschema
 from athrl_driving.maps import MapError, load_town
 from athrl_driving.maps.making.random_towns import VERSION, lay_random_town
 from athrl_driving.maps.making.writing import opendrive_text
+from athrl_driving.maps.opendrive import read_opendrive
+from athrl_driving.maps.opendrive.roadway import build_roadway
+from athrl_driving.maps.town import build_town
 from athrl_driving.traffic.state import starting_places
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -73,6 +79,18 @@ def test_files_of_random_towns_are_valid_opendrive() -> None:
     schema = xmlschema.XMLSchema(str(core.locate()))
     for seed in FIRST[:4]:
         schema.validate(opendrive_text(lay_random_town(seed)).split("?>", 1)[1])
+
+
+def test_a_town_that_nobody_uses_any_more_is_freed(tmp_path: Path) -> None:
+    """There are as many random towns as numbers: what is built for each must not stay for ever."""
+    path = tmp_path / "town.xodr"
+    path.write_text(opendrive_text(lay_random_town(5)))
+    town = build_town("town", build_roadway(read_opendrive(path)))
+    assert starting_places(town) == starting_places(town) >= 100
+    kept = weakref.ref(town)
+    del town
+    gc.collect()
+    assert kept() is None
 
 
 def test_a_random_town_is_a_town_like_any_other() -> None:
