@@ -213,8 +213,8 @@ def _check_places(settings: Mapping[str, Any]) -> None:
 
 
 def _is_place(value: Any, may_be_random: bool) -> bool:
-    if value == RANDOM:
-        return may_be_random
+    if isinstance(value, str):
+        return may_be_random and value == RANDOM
     return (
         isinstance(value, (tuple, list))
         and len(value) == 3
