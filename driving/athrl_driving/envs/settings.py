@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import math
 import numbers
@@ -118,7 +119,7 @@ def changed_settings(
     """
     if changes is not None and not isinstance(changes, Mapping):
         raise DrivingError(f"config is {changes!r}, it should be a dict of settings")
-    given = dict(changes or {})
+    given = copy.deepcopy(dict(changes or {}))  # what the caller changes later is not ours
     if "town" in given:
         given["town"] = as_text(given["town"])
     if map_name == "":

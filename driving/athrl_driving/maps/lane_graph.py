@@ -132,8 +132,3 @@ class Signals(NamedTuple):
     """[G] s; smaller than `green_from` where the green phase extends over the cycle's end."""
     yellow: Floats
     """[G] s after the green phase; then it is red."""
-
-
-def no_signals() -> Signals:
-    """Return the signals of a map without traffic lights."""
-    return Signals(*(np.empty(0) for _ in Signals._fields))
