@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from athrl_driving.maps import MapError, load_town
+from athrl_driving.maps.opendrive.carriageways import DEFAULT_LIMIT
 
 from driving.tests import written_maps
 from driving.tests.faulty_maps import (
@@ -46,6 +47,22 @@ def test_a_road_is_level_before_its_first_height(tmp_path: Path) -> None:
     heights = town.graph.elevation, town.graph.elevation + town.graph.grade * town.graph.length
     assert np.min(heights) > -0.01
     assert np.max(heights) == pytest.approx(0.25, abs=0.01)
+
+
+def test_of_two_heights_at_one_place_the_last_holds(tmp_path: Path) -> None:
+    heights = "".join(
+        f'<elevation s="{s}" a="{a}" b="0" c="0" d="0"/>' for s, a in ((0, 0), (90, 7), (90, 0))
+    )
+    text = ring(road(1, geometry(0, 0.0, 0.0), before=f"<elevationProfile>{heights}</elevationProfile>"))
+    assert not town_from(tmp_path, text, strict=True).graph.elevation.any()
+
+
+def test_a_speed_limit_ends_with_the_type_of_road_that_has_it(tmp_path: Path) -> None:
+    types = '<type s="0" type="town"><speed max="30" unit="km/h"/></type><type s="120" type="rural"/>'
+    graph = town_from(tmp_path, ring(road(1, geometry(0, 0.0, 0.0), before=types))).graph
+    slow = np.isclose(graph.speed_limit, 30.0 / 3.6)
+    assert graph.length[slow].sum() == pytest.approx(120.0)
+    assert np.allclose(graph.speed_limit[~slow], DEFAULT_LIMIT)
 
 
 def test_an_error_is_one_line_whatever_the_files_name(tmp_path: Path) -> None:

@@ -137,8 +137,14 @@ def elevation_at(road: Road, s: float) -> float:
 
 def check_heights(content: OpenDrive, road: Road) -> None:
     """Note where a road's height steps; what stands for it later is a slope. Raises `MapError`: too high."""
-    for record, following in itertools.pairwise(road.elevations):
-        step = abs(following.a - record.at(following.s)) if following.s > record.s else 0.0
+    # Of two that start at one place the first holds nowhere.
+    holding = [
+        record
+        for record, following in itertools.zip_longest(road.elevations, road.elevations[1:])
+        if following is None or following.s > record.s
+    ]
+    for record, following in itertools.pairwise(holding):
+        step = abs(following.a - record.at(following.s))
         if step > LARGEST_STEP:
             place = f"at s = {following.s:.2f} m, at most {LARGEST_STEP} m may be"
             message = f"its height steps by {step:.3f} m {place}"

@@ -13,7 +13,7 @@ from athrl_driving.maps.findings import Findings
 from athrl_driving.maps.opendrive.bounds import LARGEST_FILE, LONGEST_TEXT, MOST_ATTRIBUTES, MOST_ELEMENTS
 from athrl_driving.maps.opendrive.element_reader import ElementReader
 from athrl_driving.maps.opendrive.lights import place_lights
-from athrl_driving.maps.opendrive.model import JunctionRecord, MapError, OpenDrive, Road, RoadLink
+from athrl_driving.maps.opendrive.model import JunctionRecord, MapError, OpenDrive, Road, RoadLink, SpeedLimit
 from athrl_driving.maps.opendrive.reading_geometry import read_reference_line
 from athrl_driving.maps.opendrive.reading_junctions import read_contact, read_junction
 from athrl_driving.maps.opendrive.reading_lanes import read_sections
@@ -163,14 +163,7 @@ def _read_road(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         left_hand_traffic=_rule(reader, element) == "LHT",
         predecessor=_read_link(reader, element.find("link/predecessor")),
         successor=_read_link(reader, element.find("link/successor")),
-        speeds=sorted(
-            (
-                reader.speed(speed, reader.offset(kind, "s"))
-                for kind in element.iterchildren("type")
-                for speed in kind.iterchildren("speed")
-            ),
-            key=lambda limit: limit.s,
-        ),
+        speeds=_read_speeds(reader, element),
         geometries=geometries,
         elevations=reader.cubics(element.iterfind("elevationProfile/elevation"), "s", 0.0),
         offsets=reader.cubics(element.iterfind("lanes/laneOffset"), "s", 0.0),
@@ -179,6 +172,17 @@ def _read_road(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         references=references,
         line=element.sourceline or 0,
     )
+
+
+def _read_speeds(reader: ElementReader, road: etree._Element) -> list[SpeedLimit]:
+    """Return the speed limits of a road's types in order; one ends where a type without one begins."""
+    limits: list[SpeedLimit] = []
+    for kind in road.iterchildren("type"):
+        speeds = list(kind.iterchildren("speed"))
+        limits += [reader.speed(speed, reader.offset(kind, "s")) for speed in speeds]
+        if limits and not speeds:
+            limits.append(SpeedLimit(reader.offset(kind, "s"), None))
+    return sorted(limits, key=lambda limit: limit.s)
 
 
 def _rule(reader: ElementReader, element: etree._Element) -> str:
