@@ -135,13 +135,13 @@ def _road(street: Street, ends: Sequence[Point], swerving: float, random: Random
     """Describe a street between the points of its ends; a share of `swerving` of straight ones swerve."""
     if street.ends[0] == street.ends[1]:
         raise ValueError(f"the street at {street.ends[0]} leads back to where it begins")
-    corners = street.corners
+    (start, end), corners = ends, street.corners
     if not corners and random.random() < swerving:
-        corners = _swerve(*ends, random)
+        corners = _swerve(start, end, random)
     return Road(
         _name(street.ends[0]),
         _name(street.ends[1]),
-        bends=_bends([ends[0], *corners, ends[1]], _AVENUE_WIDER if street.avenue else 0.0, random),
+        bends=_bends([start, *corners, end], _AVENUE_WIDER if street.avenue else 0.0, random),
         lanes=(2, 2) if street.avenue else (1, 1),
         mph=random.choice(_AVENUE_MPH if street.avenue else _STREET_MPH),
         major=street.avenue,
