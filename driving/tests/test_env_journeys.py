@@ -71,6 +71,10 @@ def test_case_studies_start_at_their_place_with_other_traffic_each_time(name: st
     ("config", "message"),
     [
         ({"start": "somewhere"}, "start is 'somewhere', it should be None or (road name, lane id, metres"),
+        (
+            {"start": np.array(["Meadow Road", "1"])},
+            "it should be None or (road name, lane id, metres along it)",
+        ),
         ({"destination": 7}, 'destination is 7, it should be None, "random" or (road name,'),
         (
             {"start": ("Zzz", 1, 0.0)},

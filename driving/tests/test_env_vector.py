@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from athrl_driving.envs import TownEnv, TownVectorEnv
+from athrl_driving.episode import Workers
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hypothesis import given, settings
@@ -214,6 +215,23 @@ def test_an_ended_episode_waits_for_its_reset() -> None:
         ended = terminated | truncated
     with pytest.raises(ResetNeeded, match="have ended: reset them before the step"):
         vector.step(np.zeros((COUNT, 2), np.float32))
+
+
+def test_seeds_may_be_an_array() -> None:
+    one, other = new_vector(), new_vector()
+    listed, _ = one.reset(seed=[3, 4, 5, 6, 7])
+    in_array, _ = other.reset(seed=np.arange(3, 8))
+    np.testing.assert_array_equal(in_array["image"], listed["image"])
+
+
+def test_closing_a_vector_leaves_shared_threads_to_the_others() -> None:
+    shared = Workers(2)
+    first, second = (TownVectorEnv(8, config={"vehicles_count": 2}, workers=shared) for _ in range(2))
+    first.close()
+    second.reset(seed=1)
+    second.step(np.zeros((8, 2), np.float32))
+    second.close()
+    shared.close()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Environments that raise or stall are replaced, and late results of their calls are discarded."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -125,3 +126,13 @@ def test_first_call_may_take_as_long_as_compilation_does(monkeypatch):
     with pytest.raises(EnvironmentStalled):
         batch.step(STRAIGHT_ON)
     batch.close()
+
+
+def test_environments_that_cannot_be_made_leave_no_thread_behind():
+    before = threading.active_count()
+    with pytest.raises(ValueError, match="there is no town named 'town99'"):
+        GuardedBatch(["town99"], CONFIG, seconds=30)
+    deadline = time.monotonic() + 10.0
+    while threading.active_count() > before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert threading.active_count() <= before

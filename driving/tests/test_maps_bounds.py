@@ -209,3 +209,19 @@ def test_a_path_with_a_nul_or_of_a_pipe_is_refused(tmp_path: Path) -> None:
     (tmp_path / "folder.xodr").mkdir()
     with pytest.raises(MapError, match="is a folder"):
         load_town(tmp_path / "folder.xodr")
+
+
+def test_roads_that_cross_in_very_many_places_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("athrl_driving.maps.crossings.MOST_CROSSINGS", 5)
+    rings = [road(geometry('<arc curvature="0.02"/>', x=10 * n), id=n) for n in range(10)]
+    assert "places where lanes cross outside junctions, at most 5" in refusal(tmp_path, opendrive(*rings))
+
+
+def test_a_road_that_is_in_the_file_very_often_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("athrl_driving.maps.lying_over.MOST_LYING_OVER", 1_000)
+    said = refusal(tmp_path, opendrive(*(road(id=n) for n in range(10))))
+    assert "pairs of parts of lanes lie on each other, at most 1,000" in said

@@ -44,6 +44,7 @@ NO_LANE = "a link to a lane that is not there was passed over"
 INSIDE = "a lane was left out where it lies beyond the centre of its curve"
 NEGATIVE = "a width below 0 was taken as 0"
 STEP = "a step in a road's height was bridged"
+TWO_JUNCTIONS = "two junctions with the same id were read as one"
 
 RELAXED = settings(
     deadline=None,
@@ -123,6 +124,7 @@ FAULTS = {
     ),
     "lane inside its arc": (with_spur('<arc curvature="-1.0"/>', 0.5 * math.pi), INSIDE),
     "step in height": (with_elevations((0, 0.0), (90, 0.28), (110, 0.0)), STEP),
+    "two junctions with one id": (ring("", '<junction id="7"/>', '<junction id="7"/>'), TWO_JUNCTIONS),
 }
 
 
@@ -196,6 +198,10 @@ LARGE = {
     "section that starts late": (
         ring(road(1, geometry(0, 0, 0), sections=section(s=0.5))),
         r"road 1, line \d+: its first <laneSection> starts at 0.500 m, it must start at 0 m",
+    ),
+    "section before the road": (
+        ring(road(1, geometry(0, 0, 0), sections=section(s=-50) + section(s=-20))),
+        r"road 1, line \d+: its first <laneSection> starts at -50.000 m, it must start at 0 m",
     ),
     "section behind the road": (
         ring(road(1, geometry(0, 0, 0), sections=section() + section(s=201))),

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from athrl_driving.errors import DrivingError
 from athrl_driving.maps import load_town
 from athrl_driving.maps.lane_graph import LaneGraph, Signals
 from athrl_driving.perception import Perception, draw_image, drivable_grid, new_perception
@@ -182,6 +183,29 @@ def test_road_above_is_not_drivable_below_and_the_other_way_round() -> None:
     view.elevation = 2.5
     both = view.image()[..., 0]
     np.testing.assert_array_equal(both, np.maximum(below, above))
+
+
+def test_a_map_high_in_the_mountains_looks_as_one_at_the_sea() -> None:
+    """Heights above 3,276 m did not fit into the grid: nothing there was drivable."""
+    view, images = moment(1), []
+    for base in (0.0, 4000.0, -4000.0):
+        lanes = overpass()
+        raised = lanes._replace(elevation=lanes.elevation + base)
+        view.perception = view.perception._replace(drivable=draw_drivable_map(raised))
+        view.x, view.y, view.heading, view.elevation = 50.0, 0.0, 0.0, base
+        images.append(view.image()[..., 0])
+    assert images[0].any()
+    np.testing.assert_array_equal(images[1], images[0])
+    np.testing.assert_array_equal(images[2], images[0])
+
+
+def test_a_map_that_no_picture_can_be_made_of_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    lanes = overpass()
+    with pytest.raises(DrivingError, match=r"^the map's lanes lie from 0 to 7,000 m high, at most 6,000 m"):
+        draw_drivable_map(lanes._replace(elevation=np.array([0.0, 7000.0])))
+    monkeypatch.setattr("athrl_driving.perception.drivable._memory", lambda: 2**18)
+    with pytest.raises(DrivingError, match=r"^the map's lanes lie on 0 x 0 km: .+ takes 0 GiB, this machine"):
+        draw_drivable_map(lanes)
 
 
 def test_grid_of_a_town_is_drawn_once() -> None:

@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from athrl_driving.envs import TownEnv, TownVectorEnv
+from athrl_driving.envs.settings import changed_settings
 from athrl_driving.policy import EnvironmentBatch
 from gymnasium.vector import SyncVectorEnv
 
@@ -102,3 +103,12 @@ def test_vectors_that_share_their_images_go_on_sharing_them() -> None:
     observation, *_ = alone.step(np.zeros(2, np.float32))
     np.testing.assert_array_equal(batch.images[1], observation["image"])
     batch.close()
+
+
+def test_no_two_environments_share_their_settings() -> None:
+    mine, defaults = {"action": {"type": "DirectAction"}}, TownEnv.default_config()
+    settings = changed_settings(defaults, mine, None)
+    mine["action"]["type"] = "WaypointAction"
+    defaults["centering_position"][0] = 0.1
+    assert settings["action"] == {"type": "DirectAction"}
+    assert TownEnv.default_config()["centering_position"] == [0.5, 0.5]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import math
 import numbers
@@ -118,7 +119,7 @@ def changed_settings(
     """
     if changes is not None and not isinstance(changes, Mapping):
         raise DrivingError(f"config is {changes!r}, it should be a dict of settings")
-    given = dict(changes or {})
+    given = copy.deepcopy(dict(changes or {}))  # what the caller changes later is not ours
     if "town" in given:
         given["town"] = as_text(given["town"])
     if map_name == "":
@@ -213,8 +214,8 @@ def _check_places(settings: Mapping[str, Any]) -> None:
 
 
 def _is_place(value: Any, may_be_random: bool) -> bool:
-    if value == RANDOM:
-        return may_be_random
+    if isinstance(value, str):
+        return may_be_random and value == RANDOM
     return (
         isinstance(value, (tuple, list))
         and len(value) == 3

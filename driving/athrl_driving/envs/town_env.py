@@ -82,8 +82,8 @@ class TownEnv(PlainSpec, AbstractEnv):
 
     @classmethod
     def default_config(cls) -> dict:
-        """All settings with their defaults."""
-        return {**super().default_config(), **DEFAULTS}
+        """All settings with their defaults, in values of the caller's own."""
+        return {**super().default_config(), **copy.deepcopy(DEFAULTS)}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change settings; raises ValueError that names an unknown key or an invalid value."""

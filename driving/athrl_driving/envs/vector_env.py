@@ -81,6 +81,7 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
         self._map = map_argument(map)
         self._observations = observations
         self._shares_observations = observations is not None
+        self._owns_workers = workers is None
         if workers is None:
             workers = Workers(cores() if threads is None else _whole_number("threads", threads))
         self._workers = workers
@@ -125,6 +126,7 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
         # An array that came from memory between processes may be read only.
         self._ended, self._begun = self._ended.copy(), self._begun.copy()
         self._observations = self.episodes.state.observations if self._shares_observations else None
+        self._owns_workers = True
         self._show()
 
     def reset(
@@ -231,8 +233,9 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
         return self._viewer.images()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads and the viewer."""
-        self.episodes.close()
+        """End the viewer, and the threads unless they are shared: those are closed by who made them."""
+        if self._owns_workers:
+            self.episodes.close()
         self._viewer = None
 
     def _step_after_reset(self, actions: NDArray[np.float32]) -> tuple:
@@ -338,7 +341,7 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
             raise DrivingError(
                 f"{len(seed)} seeds were given, there should be one for each of {self.num_envs}"
             )
-        return seed
+        return [int(each) if isinstance(each, np.integer) else each for each in seed]
 
     def _generator(self, e: int) -> np.random.Generator:
         generator = self._generators[e]

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from athrl_driving.maps.chords import CHORD, are_on_one_level, are_one_way, chords_of
 from athrl_driving.maps.disjoint_sets import DisjointSets
 from athrl_driving.maps.findings import Findings
-from athrl_driving.maps.near_pairs import near_pairs
+from athrl_driving.maps.near_pairs import near_pairs, refuse_many
+from athrl_driving.maps.opendrive.bounds import MOST_CROSSINGS
 from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
 from athrl_driving.maps.overlaps import CLEARANCE, SHARE_OF_WIDTH
 from athrl_driving.maps.splitting import split
@@ -55,7 +56,7 @@ class _Stretch(NamedTuple):
 def make_junctions_of_crossings(findings: Findings, carriageways: list[Carriageway]) -> None:
     """Make the parts of ordinary lanes junctions on which they cross each other on one level.
 
-    Each crossing is noted. Raises `ValueError` where too many lanes lie close together.
+    Each crossing is noted. Raises `ValueError` where too many lanes lie close together or cross.
     """
     segments = [lane for carriageway in carriageways for lane in carriageway.lanes]
     ordinary = [segment for segment in segments if not segment.junction]
@@ -91,7 +92,10 @@ def _crossings(segments: list[LaneSegment]) -> Iterator[_Crossing]:
 
 
 def _meeting(first: Floats, second: Floats) -> Iterator[tuple[int, float, float]]:
-    """Yield which pairs of chords [n, 2, 2] meet, and at which share of each."""
+    """Yield which pairs of chords [n, 2, 2] meet, and at which share of each.
+
+    Raises `ValueError` where too many do.
+    """
     along, beside = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0]
     between = second[:, 0] - first[:, 0]
     area = _cross(along, beside)
@@ -99,6 +103,7 @@ def _meeting(first: Floats, second: Floats) -> Iterator[tuple[int, float, float]
     area = np.where(level, area, 1.0)
     share_a, share_b = _cross(between, beside) / area, _cross(between, along) / area
     meets = level & (share_a >= 0.0) & (share_a < 1.0) & (share_b >= 0.0) & (share_b < 1.0)
+    refuse_many(int(meets.sum()), MOST_CROSSINGS, "places where lanes cross outside junctions")
     for place in np.flatnonzero(meets).tolist():
         yield place, float(share_a[place]), float(share_b[place])
 

@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 from athrl_driving.maps.disjoint_sets import DisjointSets
 from athrl_driving.maps.opendrive.carriageways import LaneSegment
 from athrl_driving.maps.opendrive.model import OpenDrive
+from athrl_driving.maps.priority import turned
 from athrl_driving.maps.standing_segments import Movement
+
+_RAMP_TURN = 0.6
+"""Radians: where a movement turns by more, its junction is no ramp."""
 
 _KINDS = {1: "bend", 2: "passage", 3: "T-junction"}
 
@@ -63,7 +67,7 @@ def _kind(movements: list[Movement], ring: set[LaneSegment], yields: NDArray[np.
         for segment in (movement.origin, *movement.segments, movement.exit)
     ):
         return "roundabout"
-    if yields.any() and not any(abs(_turned_angle(movement)) > 0.6 for movement in movements):
+    if yields.any() and not any(abs(turned(movement)) > _RAMP_TURN for movement in movements):
         return "ramp"
     arms = Counter(
         (movement.origin.carriageway.road.id, movement.origin.carriageway.forward) for movement in movements
@@ -72,7 +76,3 @@ def _kind(movements: list[Movement], ring: set[LaneSegment], yields: NDArray[np.
         (movement.exit.carriageway.road.id, not movement.exit.carriageway.forward) for movement in movements
     )
     return _KINDS.get(len(arms), "crossing")
-
-
-def _turned_angle(movement: Movement) -> float:
-    return sum(segment.curvature * segment.length for segment in movement.segments)

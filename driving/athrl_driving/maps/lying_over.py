@@ -11,7 +11,8 @@ import numpy as np
 
 from athrl_driving.maps.chords import CHORD, are_on_one_level, are_one_way, chords_of
 from athrl_driving.maps.findings import Findings
-from athrl_driving.maps.near_pairs import near_pairs
+from athrl_driving.maps.near_pairs import near_pairs, refuse_many
+from athrl_driving.maps.opendrive.bounds import MOST_LYING_OVER
 from athrl_driving.maps.opendrive.carriageways import Carriageway
 
 FOUND = "two roads lie on each other without a junction: vehicles drive through each other there"
@@ -26,20 +27,29 @@ _ALONG = math.sin(math.radians(10.0))
 
 
 def note_lanes_lying_over(findings: Findings, carriageways: list[Carriageway]) -> None:
-    """Note each pair of roads of which ordinary lanes lie on each other, and for how many metres."""
+    """Note each pair of roads of which ordinary lanes lie on each other, and for how many metres.
+
+    Raises `ValueError` where too many lanes lie on each other.
+    """
     segments = [lane for carriageway in carriageways for lane in carriageway.lanes if not lane.junction]
     if not segments:
         return
     chords = chords_of(segments)
     middle, s = chords.points.mean(axis=1), chords.s.mean(axis=1)
     length = chords.s[:, 1] - chords.s[:, 0]
+    numbers: dict[str, int] = {}
+    road_of = [numbers.setdefault(segment.carriageway.road.id, len(numbers)) for segment in segments]
+    road = np.array(road_of)[chords.segment]
+    lying = 0
     found: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
     for a, b in near_pairs(middle[:, 0], middle[:, 1], CHORD, "parts of lanes"):
         along = chords.points[a, 1] - chords.points[a, 0]
         between = middle[b] - middle[a]
         beside = np.abs(along[:, 0] * between[:, 1] - along[:, 1] * between[:, 0])
         near = (beside < _OVER * length[a]) & (chords.segment[a] < chords.segment[b])
-        near &= np.hypot(between[:, 0], between[:, 1]) < CHORD
+        near &= (np.hypot(between[:, 0], between[:, 1]) < CHORD) & (road[a] != road[b])
+        lying += int(near.sum())
+        refuse_many(lying, MOST_LYING_OVER, "pairs of parts of lanes lie on each other")
         for first, second in zip(a[near].tolist(), b[near].tolist(), strict=True):
             found[int(chords.segment[first]), int(chords.segment[second])].append((first, second))
     metres: dict[str, float] = defaultdict(float)
@@ -48,7 +58,7 @@ def note_lanes_lying_over(findings: Findings, carriageways: list[Carriageway]) -
         places = float(s[pairs[0][0]]), float(s[pairs[0][1]])
         turned = abs(math.sin(pair[0].at(places[0])[2] - pair[1].at(places[1])[2]))
         roads = [segment.carriageway.road.id for segment in pair]
-        if roads[0] == roads[1] or turned > _ALONG or are_one_way(pair, places):
+        if turned > _ALONG or are_one_way(pair, places):
             continue
         if are_on_one_level(pair, places):
             own = {chord for chord, _ in pairs}

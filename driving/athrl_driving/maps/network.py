@@ -15,6 +15,7 @@ from highway_env.road.lane import AbstractLane, CircularLane, LineType, Straight
 from highway_env.road.road import LaneIndex, RoadNetwork
 from numpy.typing import NDArray
 
+from athrl_driving.maps.disjoint_sets import DisjointSets
 from athrl_driving.maps.geometry import closest_lane
 from athrl_driving.maps.lane_graph import LaneGraph
 from athrl_driving.maps.lane_graph_builder import LaneNumbering
@@ -95,32 +96,26 @@ def _name_nodes(
 ) -> dict[Carriageway, tuple[str, str]]:
     """Return every carriageway's start and end node."""
     number = {carriageway: place for place, carriageway in enumerate(carriageways)}
-    parent = list(range(2 * len(number)))
-
-    def root(node: int) -> int:
-        while parent[node] != node:
-            parent[node] = parent[parent[node]]
-            node = parent[node]
-        return node
-
+    joined = DisjointSets(range(2 * len(number)))
     chains = [[movement.origin, *movement.segments, movement.exit] for movement in drivable.movements]
     chains += [[segment, after] for segment in drivable.segments for after in drivable.ahead[segment]]
     for chain in chains:
         for before, after in itertools.pairwise(chain):
-            parent[root(2 * number[before.carriageway] + 1)] = root(2 * number[after.carriageway])
+            joined.join(2 * number[after.carriageway], 2 * number[before.carriageway] + 1)
     names: dict[int, str] = {}
     for carriageway, place in number.items():
         # A node is named after the first carriageway that starts or ends there.
         label = f"road {carriageway.road.id} {'forth' if carriageway.forward else 'back'}"
         names.setdefault(
-            root(2 * place), f"{label} {carriageway.start if carriageway.forward else carriageway.end:.2f}"
+            joined.root(2 * place),
+            f"{label} {carriageway.start if carriageway.forward else carriageway.end:.2f}",
         )
         names.setdefault(
-            root(2 * place + 1),
+            joined.root(2 * place + 1),
             f"{label} {carriageway.end if carriageway.forward else carriageway.start:.2f}",
         )
     return {
-        carriageway: (names[root(2 * place)], names[root(2 * place + 1)])
+        carriageway: (names[joined.root(2 * place)], names[joined.root(2 * place + 1)])
         for carriageway, place in number.items()
     }
 

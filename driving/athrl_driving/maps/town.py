@@ -163,7 +163,7 @@ def load_same_town(file: TownFile) -> Town:
 
 @lru_cache(maxsize=16)
 def _read_town(path: Path, _changed: int, strict: bool) -> Town:
-    town = _built(path.stem, path.name, lambda: read_opendrive(path, strict))
+    town = _built(path.stem, one_line(path.name), lambda: read_opendrive(path, strict))
     return replace(town, file=town_file(town.name if path.parent == _FOLDER else str(path), path, strict))
 
 

@@ -7,12 +7,14 @@ so on), cell by cell, so that each can be looked up by its height.
 from __future__ import annotations
 
 import math
+import os
 import weakref
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from athrl_driving.errors import DrivingError
 from athrl_driving.kernels.compilation import compiled
 from athrl_driving.maps import LaneGraph, Town
 from athrl_driving.maps.geometry import lane_pose, lane_project
@@ -41,6 +43,12 @@ _SEGMENT_LENGTH = 16.0
 
 _LAYERS = 4
 
+_HIGHEST = 3000.0
+"""Metres above or below a base that cells can have; beyond, 16 bits of `HEIGHT_UNIT` would not do."""
+
+_BYTES_OF_A_CELL = 11
+"""Memory that drawing takes, at the least."""
+
 
 class DrivableMap(NamedTuple):
     """A town's grid; rows lie along y, columns along x."""
@@ -48,7 +56,7 @@ class DrivableMap(NamedTuple):
     cells: NDArray[np.uint8]
     """[layers, rows, columns] share of the cell that is drivable; 255 is all of it."""
     height: NDArray[np.int16]
-    """[layers, rows, columns] in HEIGHT_UNIT; undefined where nothing is drivable."""
+    """[layers, rows, columns] in HEIGHT_UNIT above `base`; undefined where nothing is drivable."""
     lowest: NDArray[np.float64]
     """[tile rows, tile columns] m; infinite where the tile is empty."""
     highest: NDArray[np.float64]
@@ -57,13 +65,15 @@ class DrivableMap(NamedTuple):
     """x of the grid's first column's edge, m."""
     top: float
     """y of the grid's first row's edge, m."""
+    base: float
+    """m; 0 unless the map lies very high or low."""
 
 
 _MAPS: dict[int, DrivableMap] = {}
 
 
 def drivable_grid(town: Town) -> DrivableMap:
-    """Return the grid of a town, which is drawn once."""
+    """Return the grid of a town, which is drawn once. Raises `DrivingError` as `draw_drivable_map` does."""
     if id(town) not in _MAPS:
         _MAPS[id(town)] = draw_drivable_map(town.graph)
         weakref.finalize(town, _MAPS.pop, id(town), None)
@@ -71,17 +81,51 @@ def drivable_grid(town: Town) -> DrivableMap:
 
 
 def draw_drivable_map(graph: LaneGraph) -> DrivableMap:
-    """Draw the lanes of a graph on a grid."""
+    """Draw the lanes of a graph on a grid.
+
+    Raises `DrivingError` in one line where they lie too far apart, in the plane or in height.
+    """
     left, top = graph.box[:, :2].min(axis=0) - _MARGIN
     right, bottom = graph.box[:, 2:].max(axis=0) + _MARGIN
     rows, columns = math.ceil((bottom - top) / CELL), math.ceil((right - left) / CELL)
+    _refuse_large(rows, columns)
+    base = _base_of(graph)
     samples = np.zeros((_LAYERS, rows, columns), dtype=np.uint16)
     height = np.zeros((_LAYERS, rows, columns), dtype=np.int16)
-    _draw_lanes(graph, left, top, samples, height)
+    _draw_lanes(graph, left, top, base, samples, height)
     layers = max(1, int(np.count_nonzero(samples.any(axis=(1, 2)))))
     cells = _COVERAGE[samples[:layers]]
     lowest, highest = _heights_of_tiles(cells, height[:layers])
-    return DrivableMap(cells, height[:layers].copy(), lowest, highest, float(left), float(top))
+    lowest, highest = lowest + base, highest + base
+    return DrivableMap(cells, height[:layers].copy(), lowest, highest, float(left), float(top), base)
+
+
+def _refuse_large(rows: int, columns: int) -> None:
+    """Raise `DrivingError` where the grid would not fit into the machine's memory."""
+    needed, there_is = rows * columns * _BYTES_OF_A_CELL, _memory()
+    if needed > there_is:
+        width, height = columns * CELL / 1000.0, rows * CELL / 1000.0
+        raise DrivingError(
+            f"the map's lanes lie on {width:,.0f} x {height:,.0f} km: the picture of their surface takes "
+            f"{needed / 2**30:,.0f} GiB, this machine has {there_is / 2**30:,.0f} GiB"
+        )
+
+
+def _memory() -> int:
+    """Return the bytes of the machine's memory."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def _base_of(graph: LaneGraph) -> float:
+    """Return the height (m) from which those of cells count; raises `DrivingError`: they differ too much."""
+    ends = np.concatenate([graph.elevation, graph.elevation + graph.grade * graph.length])
+    low, high = float(ends.min()), float(ends.max())
+    if low >= -_HIGHEST and high <= _HIGHEST:
+        return 0.0
+    if high - low > 2.0 * _HIGHEST:
+        most = f"at most {2.0 * _HIGHEST:,.0f} m may be between them"
+        raise DrivingError(f"the map's lanes lie from {low:,.0f} to {high:,.0f} m high, {most}")
+    return float(round(0.5 * (low + high)))
 
 
 _COVERAGE = np.array(
@@ -107,14 +151,19 @@ def _heights_of_tiles(
 
 @compiled
 def _draw_lanes(
-    graph: LaneGraph, left: float, top: float, samples: NDArray[np.uint16], height: NDArray[np.int16]
+    graph: LaneGraph,
+    left: float,
+    top: float,
+    base: float,
+    samples: NDArray[np.uint16],
+    height: NDArray[np.int16],
 ) -> None:
     """Set the bits of the sample points that lie on a lane, and the heights of their cells."""
     for lane in range(graph.length.size):
         start = -_JOINT
         while start < graph.length[lane] + _JOINT:
             end = min(start + _SEGMENT_LENGTH, graph.length[lane] + _JOINT)
-            _draw_segment(graph, lane, start, end, left, top, samples, height)
+            _draw_segment(graph, lane, start, end, left, top, base, samples, height)
             start = end
 
 
@@ -126,6 +175,7 @@ def _draw_segment(
     end: float,
     left: float,
     top: float,
+    base: float,
     samples: NDArray[np.uint16],
     height: NDArray[np.int16],
 ) -> None:
@@ -149,8 +199,8 @@ def _draw_segment(
             bit = np.uint16(1 << ((row % _SAMPLES) * _SAMPLES + column % _SAMPLES))
             for layer in range(samples.shape[0]):
                 if samples[layer, i, j] == 0:
-                    height[layer, i, j] = np.int16(round(here / HEIGHT_UNIT))
-                elif abs(height[layer, i, j] * HEIGHT_UNIT - here) > ROAD_LEVEL_HEIGHT:
+                    height[layer, i, j] = np.int16(round((here - base) / HEIGHT_UNIT))
+                elif abs(height[layer, i, j] * HEIGHT_UNIT + base - here) > ROAD_LEVEL_HEIGHT:
                     continue
                 samples[layer, i, j] |= bit
                 break

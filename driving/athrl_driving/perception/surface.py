@@ -134,6 +134,7 @@ def _share(drivable: DrivableMap, row: int, column: int, elevation: float) -> fl
         share = drivable.cells[layer, row, column]
         if share == 0:
             return 0.0
-        if abs(drivable.height[layer, row, column] * HEIGHT_UNIT - elevation) <= ROAD_LEVEL_HEIGHT:
+        height = drivable.height[layer, row, column] * HEIGHT_UNIT + drivable.base
+        if abs(height - elevation) <= ROAD_LEVEL_HEIGHT:
             return float(share)
     return 0.0

@@ -181,6 +181,7 @@ class EnvironmentBatch:
         return vector.episodes.info(place)
 
     def close(self) -> None:
-        """Close the environments."""
+        """Close the environments and end their threads."""
         for vector in self._vectors:
             vector.close()
+        self._workers.close()

@@ -75,7 +75,11 @@ class GuardedBatch:
         self._seconds = seconds
         self._worker = _Worker()
         self._compiled: set[str] = set()  # calls that have returned once
-        self._batch = self._call("making the environments", self._make)
+        try:
+            self._batch = self._call("making the environments", self._make)
+        except BaseException:
+            self._worker.end()  # its thread would wait for calls for ever
+            raise
 
     def __len__(self) -> int:
         return self._count

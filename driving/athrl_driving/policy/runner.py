@@ -58,7 +58,7 @@ class OnnxPolicy:
         try:
             return cls(content, threads)
         except InvalidPolicy as error:
-            raise InvalidPolicy(f"{path} is not a policy: {error}") from None
+            raise InvalidPolicy(f"{one_line(str(path))} is not a policy: {error}") from None
 
     def initial_states(self, batch: int) -> dict[str, NDArray[np.float32]]:
         """The recurrent states at an episode's start: float32 zeros [batch, state_size] for each level."""

@@ -16,6 +16,8 @@ _DIVERGING_WITHIN = 15.0
 """Metres behind a common lane within which movements still diverge; beyond, they conflict once more."""
 
 _SPACING = 1.0
+_MOST_PAIRS = 500_000
+"""Pairs of points that are compared at a time: movements may be kilometres long."""
 _NEAR = 3.2
 """Metres between centre lines that count as a conflict: the map's clearance plus a sampling margin."""
 
@@ -78,9 +80,13 @@ class _MovementShape:
 
     def first_conflict(self, other: "_MovementShape") -> float:
         """Return m along this movement to the first point that is close to the other movement."""
-        apart = self.points[:, None] - other.points[None]
-        near = ((apart * apart).sum(axis=2) < _NEAR * _NEAR).any(axis=1)
-        return float(self.along[np.argmax(near)]) if near.any() else 0.0
+        step = max(1, _MOST_PAIRS // len(other.points))
+        for begin in range(0, len(self.points), step):
+            apart = self.points[begin : begin + step, None] - other.points[None]
+            near = ((apart * apart).sum(axis=2) < _NEAR * _NEAR).any(axis=1)
+            if near.any():
+                return float(self.along[begin + np.argmax(near)])
+        return 0.0
 
     def common_lane(self, other: "_MovementShape", release: float) -> tuple[float, float] | None:
         """Return m along both to where their last common lanes begin; None if they conflict again behind."""

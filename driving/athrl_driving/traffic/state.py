@@ -1,5 +1,7 @@
 """Makes the traffic's arrays for a batch of environments, and views of one environment."""
 
+import weakref
+
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
@@ -23,7 +25,7 @@ from athrl_driving.traffic.lane_links import LaneLinks, build_lane_links
 EGO_PATH_LENGTH = 64
 """Links of the ego's path that are considered."""
 
-_LINKS_OF_TOWNS: dict[int, tuple[Town, LaneLinks]] = {}
+_LINKS_OF_TOWNS: dict[int, LaneLinks] = {}
 _ZONES_OF_TOWNS: dict[int, ConflictZones] = {}
 
 __all__ = [
@@ -75,21 +77,23 @@ def starting_places(town: Town) -> int:
 
 
 def _links_of(town: Town) -> tuple[LaneLinks, ConflictZones]:
-    """Return what is built once a town."""
+    """Return what is built once a town, and kept for as long as the town is."""
     links = _lane_links_of(town)
     if id(town) not in _ZONES_OF_TOWNS:
         _ZONES_OF_TOWNS[id(town)] = conflict_zones_of(town)
+        weakref.finalize(town, _ZONES_OF_TOWNS.pop, id(town), None)
     return links, _ZONES_OF_TOWNS[id(town)]
 
 
 def _lane_links_of(town: Town) -> LaneLinks:
-    """Return the links of a town, built once; the town is kept with them, so that its id is not used again.
+    """Return the links of a town, built once.
 
     Whoever only asks how many vehicles fit needs no conflict zones, the first thing that calls a kernel.
     """
     if id(town) not in _LINKS_OF_TOWNS:
-        _LINKS_OF_TOWNS[id(town)] = town, build_lane_links(town)
-    return _LINKS_OF_TOWNS[id(town)][1]
+        _LINKS_OF_TOWNS[id(town)] = build_lane_links(town)
+        weakref.finalize(town, _LINKS_OF_TOWNS.pop, id(town), None)
+    return _LINKS_OF_TOWNS[id(town)]
 
 
 def _new_background(shape: tuple[int, int], length: float, width: float) -> Background:

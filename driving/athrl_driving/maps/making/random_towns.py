@@ -40,6 +40,8 @@ _WIDEST_TURN = (8.0, 14.0)
 _BEND = (7.0, 80.0)
 """Metres: radius of bends, in the middle of the road."""
 _LEAST_BEND = 5.5
+_AVENUE_WIDER = 4.0
+"""Metres by which the least bend of an avenue is wider: its inner lane lies by so much farther inside."""
 _SWERVE = (2.0, 16.0)
 """Metres by which a street that swerves leaves the straight line."""
 _STRAIGHT_NEAR_NODE = 20.0
@@ -133,13 +135,13 @@ def _road(street: Street, ends: Sequence[Point], swerving: float, random: Random
     """Describe a street between the points of its ends; a share of `swerving` of straight ones swerve."""
     if street.ends[0] == street.ends[1]:
         raise ValueError(f"the street at {street.ends[0]} leads back to where it begins")
-    corners = street.corners
+    (start, end), corners = ends, street.corners
     if not corners and random.random() < swerving:
-        corners = _swerve(*ends, random)
+        corners = _swerve(start, end, random)
     return Road(
         _name(street.ends[0]),
         _name(street.ends[1]),
-        bends=_bends([ends[0], *corners, ends[1]], random),
+        bends=_bends([start, *corners, end], _AVENUE_WIDER if street.avenue else 0.0, random),
         lanes=(2, 2) if street.avenue else (1, 1),
         mph=random.choice(_AVENUE_MPH if street.avenue else _STREET_MPH),
         major=street.avenue,
@@ -158,8 +160,11 @@ def _swerve(start: Point, end: Point, random: Random) -> tuple[Point, Point]:
     return corner(random.uniform(0.35, 0.45)), corner(random.uniform(0.55, 0.65))
 
 
-def _bends(points: Sequence[Point], random: Random) -> tuple[Bend, ...]:
-    """Return the corners between the first point and the last, as round as there is room for at most."""
+def _bends(points: Sequence[Point], wider: float, random: Random) -> tuple[Bend, ...]:
+    """Return the corners between the first point and the last, as round as there is room for at most.
+
+    The least radius is by `wider` metres wider than a street's. Raises `ValueError` where it has no room.
+    """
     lengths = [math.dist(*pair) for pair in itertools.pairwise(points)]
     lengths[0] -= _STRAIGHT_NEAR_NODE
     lengths[-1] -= _STRAIGHT_NEAR_NODE
@@ -167,8 +172,9 @@ def _bends(points: Sequence[Point], random: Random) -> tuple[Bend, ...]:
     for index, corner in enumerate(points[1:-1]):
         turn = abs(_turn(*points[index : index + 3]))
         room = 0.45 * min(lengths[index : index + 2])
-        radius = min(_log_uniform(*_BEND, random), room / max(math.tan(turn / 2.0), 1e-3))
-        if radius < _LEAST_BEND:
+        widest = room / max(math.tan(turn / 2.0), 1e-3)
+        radius = min(_log_uniform(_BEND[0] + wider, _BEND[1], random), widest)
+        if radius < _LEAST_BEND + wider:
             raise ValueError(f"there is no room for a bend at {corner}")
         bends.append(Bend(*corner, round(radius, 1)))
     return tuple(bends)

@@ -15,6 +15,9 @@ MOST_ELEMENTS, MOST_ATTRIBUTES = 1_500_000, 2_500_000
 GAP = 0.01
 """Metres by which lines and lanes may miss each other; such is the rounding of numbers in files."""
 
+SAME_PLACE = 1e-6
+"""Metres between two stations that are one, written with other roundings; so short a section is none."""
+
 LARGEST_GAP = 0.3
 """Metres of a jump, or of a length that differs, which are bridged: less than a car is steered by anyway.
 
@@ -79,6 +82,9 @@ MOST_FORK_STEPS = 20_000_000
 
 MOST_POINTS, MOST_CLOSE_POINTS, MOST_CLOSE_MOVEMENTS = 2_000_000, 8_000_000, 2_000_000
 """Points along movements, every 0.5 m; pairs of points within some metres; pairs of movements with such."""
+
+MOST_CROSSINGS, MOST_LYING_OVER = 50_000, 2_000_000
+"""Places where lanes cross outside junctions; pairs of parts of lanes, 4 m long, that lie on each other."""
 
 MOST_GRID_ENTRIES = 16_000_000
 """Cells of the grid that a lane touches, of all lanes together."""

@@ -134,7 +134,7 @@ def _fitted(content: OpenDrive, road: Road, bands: dict[int, LaneBand], stations
             return None
         message = f"its height changes too fast at s = {0.5 * (start + end):.2f} m"
         raise content.error(road.id, None, road.line, message)
-    curvature = curvature_of(geometry_at(road, start))
+    curvature = curvature_of(geometry_at(road, 0.5 * (start + end)))
     if curvature is not None and all(band.constant for band in bands.values()):
         turns = abs(curvature) * (end - start)
         return exact_fits(road, bands, start, end) if turns < 2.0 or not divisible else None

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from athrl_driving.maps.opendrive.bounds import FARTHEST_BESIDE, LARGEST_NEGATIVE_WIDTH, LARGEST_STEP, STEP
+from athrl_driving.maps.opendrive.bounds import (
+    FARTHEST_BESIDE,
+    LARGEST_NEGATIVE_WIDTH,
+    LARGEST_STEP,
+    SAME_PLACE,
+    STEP,
+)
 from athrl_driving.maps.opendrive.model import (
     Cubic,
     Geometry,
@@ -95,7 +101,7 @@ def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[fl
     inside = sorted(s for s in cuts if section.s <= s <= section.end)
     distinct = inside[:1]
     for s in inside[1:]:
-        if s - distinct[-1] > 1e-6:
+        if s - distinct[-1] > SAME_PLACE:
             distinct.append(s)
     return distinct
 
@@ -122,15 +128,23 @@ def speed_limit_at(road: Road, lane: Lane, s: float, default: float) -> float:
 
 
 def elevation_at(road: Road, s: float) -> float:
-    """Return the reference line's height (m)."""
-    record = record_at(road.elevations, s) or (road.elevations[0] if road.elevations else None)
-    return record.at(s) if record is not None else 0.0
+    """Return the reference line's height (m); before the first record it is that record's first height."""
+    record = record_at(road.elevations, s)
+    if record is not None:
+        return record.at(s)
+    return road.elevations[0].a if road.elevations else 0.0
 
 
 def check_heights(content: OpenDrive, road: Road) -> None:
     """Note where a road's height steps; what stands for it later is a slope. Raises `MapError`: too high."""
-    for record, following in itertools.pairwise(road.elevations):
-        step = abs(following.a - record.at(following.s)) if following.s > record.s else 0.0
+    # Of two that start at one place the first holds nowhere.
+    holding = [
+        record
+        for record, following in itertools.zip_longest(road.elevations, road.elevations[1:])
+        if following is None or following.s > record.s
+    ]
+    for record, following in itertools.pairwise(holding):
+        step = abs(following.a - record.at(following.s))
         if step > LARGEST_STEP:
             place = f"at s = {following.s:.2f} m, at most {LARGEST_STEP} m may be"
             message = f"its height steps by {step:.3f} m {place}"
@@ -145,12 +159,20 @@ def climbs_evenly(road: Road, start: float, end: float, tolerance: float) -> boo
         return True
     first, last = elevation_at(road, start), elevation_at(road, end)
     shares = np.linspace(0.0, 1.0, max(5, int((end - start) / 5.0)))[1:-1]
-    heights = (elevation_at(road, start + float(share) * (end - start)) for share in shares)
-    slope = last - first
-    return all(
-        abs(height - first - share * slope) <= tolerance
-        for share, height in zip(shares, heights, strict=True)
-    )
+    heights = _elevations(road, start + shares * (end - start))
+    return bool((np.abs(heights - first - shares * (last - first)) <= tolerance).all())
+
+
+def _elevations(road: Road, stations: Floats) -> Floats:
+    """Return the heights (m) at ascending stations [n], as `elevation_at` does."""
+    begin = max(bisect_right(road.elevations, stations[0] + 1e-9, key=lambda record: record.s) - 1, 0)
+    end = bisect_right(road.elevations, stations[-1] + 1e-9, key=lambda record: record.s)
+    records = road.elevations[begin : max(end, begin + 1)]
+    terms = np.array([(record.s, record.a, record.b, record.c, record.d) for record in records])
+    place = np.searchsorted(terms[:, 0], stations + 1e-9, side="right") - 1
+    s, a, b, c, d = terms[np.maximum(place, 0)].T
+    ds = np.where(place < 0, 0.0, stations - s)
+    return np.asarray(a + ds * (b + ds * (c + ds * d)))
 
 
 def _outwards(section: LaneSection, side: int) -> list[Lane]:

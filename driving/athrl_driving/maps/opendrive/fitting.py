@@ -47,7 +47,7 @@ class Fitted:
 
 def exact_fits(road: Road, bands: dict[int, LaneBand], start: float, end: float) -> Fitted:
     """Return the lanes beside a line or an arc, all of constant width and offset."""
-    geometry = geometry_at(road, start)
+    geometry = geometry_at(road, 0.5 * (start + end))
     pose = geometry_poses(geometry, np.array([start - geometry.s]))
     x, y, heading = float(pose.x[0]), float(pose.y[0]), float(pose.heading[0])
     curvature = curvature_of(geometry) or 0.0
@@ -94,7 +94,7 @@ def forced_fits(content: OpenDrive, road: Road, bands: dict[int, LaneBand], stat
     line = _line(road, stations)
     if _close_arc(line) is None:
         message = f"its reference line has a kink at s = {stations.mean():.2f} m"
-        raise content.error(road.id, None, geometry_at(road, float(stations[0])).line, message)
+        raise content.error(road.id, None, geometry_at(road, float(stations.mean())).line, message)
     fitted = Fitted()
     for band in bands.values():
         lane = _beside(line, band.centre)
@@ -132,7 +132,7 @@ def arc_through(x: Floats, y: Floats) -> Fit | None:
 
 
 def _line(road: Road, stations: Floats) -> Poses:
-    geometry = geometry_at(road, float(stations[0]))
+    geometry = geometry_at(road, 0.5 * (float(stations[0]) + float(stations[-1])))
     return geometry_poses(geometry, stations - geometry.s)
 
 

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterable
 
-from athrl_driving.maps.opendrive.bounds import MOST_LANES_BESIDE
+from athrl_driving.maps.opendrive.bounds import MOST_LANES_BESIDE, SAME_PLACE
 from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
 from athrl_driving.maps.opendrive.connections import NO_ROAD, Ends, LaneEnd, connected_lanes
 from athrl_driving.maps.opendrive.model import OpenDrive, Road
@@ -51,11 +51,11 @@ def road_ends(carriageways: Iterable[Carriageway]) -> Ends:
     ends: Ends = {}
     for carriageway in carriageways:
         road = carriageway.road
-        if carriageway.start <= 1e-6:
+        if carriageway.start <= SAME_PLACE:
             for segment in carriageway.lanes:
                 key = segment.keys[0 if carriageway.forward else -1]
                 ends[road.id, "start", key[1]] = (segment, not carriageway.forward)
-        if carriageway.end >= road.sections[-1].end - 1e-6:
+        if carriageway.end >= road.sections[-1].end - SAME_PLACE:
             for segment in carriageway.lanes:
                 key = segment.keys[-1 if carriageway.forward else 0]
                 ends[road.id, "end", key[1]] = (segment, carriageway.forward)

@@ -13,12 +13,7 @@ from athrl_driving.maps.findings import Findings
 from athrl_driving.maps.opendrive.bounds import LARGEST_FILE, LONGEST_TEXT, MOST_ATTRIBUTES, MOST_ELEMENTS
 from athrl_driving.maps.opendrive.element_reader import ElementReader
 from athrl_driving.maps.opendrive.lights import place_lights
-from athrl_driving.maps.opendrive.model import (
-    MapError,
-    OpenDrive,
-    Road,
-    RoadLink,
-)
+from athrl_driving.maps.opendrive.model import JunctionRecord, MapError, OpenDrive, Road, RoadLink, SpeedLimit
 from athrl_driving.maps.opendrive.reading_geometry import read_reference_line
 from athrl_driving.maps.opendrive.reading_junctions import read_contact, read_junction
 from athrl_driving.maps.opendrive.reading_lanes import read_sections
@@ -35,9 +30,9 @@ def read_opendrive(path: Path, strict: bool = False) -> OpenDrive:
     something is wrong: no XML, not OpenDRIVE, an attribute that is missing or not a number, a reference line
     that does not cover its road.
     """
-    with parser_errors(lambda reason: MapError(f"{path}: {reason}")):
+    with parser_errors(lambda reason: MapError(f"{one_line(str(path))}: {reason}")):
         text = read_untrusted(path, LARGEST_FILE)
-    return parse_opendrive(path.name, text, strict)
+    return parse_opendrive(one_line(path.name), text, strict)
 
 
 def parse_opendrive(name: str, text: bytes, strict: bool = False) -> OpenDrive:
@@ -140,10 +135,20 @@ def _read_part(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         else:
             reader.note(element, "a road without a reference line or a length was left out")
     elif element.tag == "junction":
-        junction = read_junction(reader, content, element)
-        content.junctions[junction.id] = junction
+        _add_junction(content, read_junction(reader, content, element))
     else:
         read_controller(reader, content, element)
+
+
+def _add_junction(content: OpenDrive, junction: JunctionRecord) -> None:
+    """Add a junction; what a second one with the same id says is added to the first."""
+    known = content.junctions.setdefault(junction.id, junction)
+    if known is not junction:
+        place = f"junction {junction.id}, line {junction.line}"
+        content.findings.add("two junctions with the same id were read as one", place)
+        known.connections += junction.connections
+        known.priorities += junction.priorities
+        known.controllers += junction.controllers
 
 
 def _read_road(reader: ElementReader, content: OpenDrive, element: etree._Element) -> Road:
@@ -158,14 +163,7 @@ def _read_road(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         left_hand_traffic=_rule(reader, element) == "LHT",
         predecessor=_read_link(reader, element.find("link/predecessor")),
         successor=_read_link(reader, element.find("link/successor")),
-        speeds=sorted(
-            (
-                reader.speed(speed, reader.offset(kind, "s"))
-                for kind in element.iterchildren("type")
-                for speed in kind.iterchildren("speed")
-            ),
-            key=lambda limit: limit.s,
-        ),
+        speeds=_read_speeds(reader, element),
         geometries=geometries,
         elevations=reader.cubics(element.iterfind("elevationProfile/elevation"), "s", 0.0),
         offsets=reader.cubics(element.iterfind("lanes/laneOffset"), "s", 0.0),
@@ -174,6 +172,17 @@ def _read_road(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         references=references,
         line=element.sourceline or 0,
     )
+
+
+def _read_speeds(reader: ElementReader, road: etree._Element) -> list[SpeedLimit]:
+    """Return the speed limits of a road's types in order; one ends where a type without one begins."""
+    limits: list[SpeedLimit] = []
+    for kind in road.iterchildren("type"):
+        speeds = list(kind.iterchildren("speed"))
+        limits += [reader.speed(speed, reader.offset(kind, "s")) for speed in speeds]
+        if limits and not speeds:
+            limits.append(SpeedLimit(reader.offset(kind, "s"), None))
+    return sorted(limits, key=lambda limit: limit.s)
 
 
 def _rule(reader: ElementReader, element: etree._Element) -> str:

@@ -45,10 +45,10 @@ def read_sections(reader: ElementReader, road: etree._Element, length: float) ->
 
 def _begin_with_road(reader: ElementReader, road: etree._Element, first: LaneSection) -> None:
     """Let the first section begin at 0, as it must."""
-    if round(first.s, 3) > LARGEST_GAP:
+    if round(abs(first.s), 3) > LARGEST_GAP:
         raise reader.error(road, f"its first <laneSection> starts at {first.s:.3f} m, it must start at 0 m")
-    if first.s > GAP:
-        reader.note(road, "a road's first lane section was taken to begin with the road", first.s)
+    if abs(first.s) > GAP:
+        reader.note(road, "a road's first lane section was taken to begin with the road", abs(first.s))
     first.s = 0.0
 
 

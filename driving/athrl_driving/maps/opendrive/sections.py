@@ -3,10 +3,8 @@
 import itertools
 from dataclasses import replace
 
+from athrl_driving.maps.opendrive.bounds import SAME_PLACE
 from athrl_driving.maps.opendrive.model import LaneSection
-
-_NO_LENGTH = 1e-6
-"""Metres of a section that no piece of road is made of."""
 
 
 def with_both_sides(sections: list[LaneSection], single: list[bool]) -> list[LaneSection]:
@@ -35,7 +33,7 @@ def without_empty(sections: list[LaneSection]) -> list[LaneSection]:
     """Return the sections that have a length; what led through another leads on to the one behind it."""
     kept: list[LaneSection] = []
     for section, following in itertools.zip_longest(sections, sections[1:]):
-        if section.end - section.s > _NO_LENGTH or (following is None and not kept):
+        if section.end - section.s > SAME_PLACE or (following is None and not kept):
             kept.append(section)
             continue
         if following is not None:

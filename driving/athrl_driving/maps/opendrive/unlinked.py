@@ -2,11 +2,11 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from athrl_driving.maps.opendrive.bounds import STEP
 from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
-from athrl_driving.maps.opendrive.model import OpenDrive, Road
+from athrl_driving.maps.opendrive.model import OpenDrive
 
 FOUND = "lanes that meet where their roads or sections do, without a link of lanes, were linked"
 
@@ -15,7 +15,8 @@ _NEAR = 0.1
 
 _STRAIGHT = math.radians(5.0)
 
-Cells = dict[tuple[int, int], list[LaneSegment]]
+Cells = dict[tuple[str, int, int], list[LaneSegment]]
+"""Segments by the road that they are of, and the cell in which they start."""
 
 
 def link_lanes_that_meet(content: OpenDrive, carriageways: list[Carriageway]) -> None:
@@ -29,15 +30,16 @@ def link_lanes_that_meet(content: OpenDrive, carriageways: list[Carriageway]) ->
     starts: Cells = defaultdict(list)
     for segment in segments:
         if segment not in reached and not _links_lanes(segment, at_end=False):
-            starts[_cell(segment.x, segment.y)].append(segment)
+            starts[_place(segment)].append(segment)
+    linked = _linked_roads(content)
     for segment in segments:
         if segment.successors or _links_lanes(segment, at_end=True):
             continue
-        meeting = [other for other in _starting_at_end(segment, starts) if _are_linked(segment, other)]
+        meeting = list(_starting_at_end(segment, linked[segment.carriageway.road.id], starts))
         if not meeting:
             continue
         after = min(meeting, key=lambda other: _distance(segment, other))
-        starts[_cell(after.x, after.y)].remove(after)
+        starts[_place(after)].remove(after)
         segment.successors.append(after)
         content.note(FOUND, segment.carriageway.road.id, segment.lane.id, segment.lane.line)
 
@@ -56,12 +58,17 @@ def _cell(x: float, y: float) -> tuple[int, int]:
     return math.floor(x / _NEAR), math.floor(y / _NEAR)
 
 
-def _starting_at_end(segment: LaneSegment, starts: Cells) -> Iterator[LaneSegment]:
-    """Yield the lanes that begin where a segment ends, in its direction and at its height."""
+def _place(segment: LaneSegment) -> tuple[str, int, int]:
+    return segment.carriageway.road.id, *_cell(segment.x, segment.y)
+
+
+def _starting_at_end(segment: LaneSegment, roads: Iterable[str], starts: Cells) -> Iterator[LaneSegment]:
+    """Yield the lanes of `roads` that begin where a segment ends, in its direction and at its height."""
     x, y, heading = segment.at(segment.length)
     column, row = _cell(x, y)
-    for cell in ((column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
-        for other in starts.get(cell, []):
+    cells = [(column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    for place in ((road, *cell) for cell in cells for road in roads):
+        for other in starts.get(place, []):
             turn = (other.heading - heading + math.pi) % (2.0 * math.pi) - math.pi
             rise = abs(other.elevation - segment.end_elevation)
             if _distance(segment, other) <= _NEAR and abs(turn) <= _STRAIGHT and rise <= STEP:
@@ -73,14 +80,11 @@ def _distance(segment: LaneSegment, other: LaneSegment) -> float:
     return math.hypot(other.x - x, other.y - y)
 
 
-def _are_linked(segment: LaneSegment, other: LaneSegment) -> bool:
-    """Tell whether two segments are of one road, or of two of which one names the other."""
-    road, following = segment.carriageway.road, other.carriageway.road
-    return road is following or _names(road, following) or _names(following, road)
-
-
-def _names(road: Road, other: Road) -> bool:
-    return any(
-        link is not None and not link.is_junction and link.id == other.id
-        for link in (road.predecessor, road.successor)
-    )
+def _linked_roads(content: OpenDrive) -> dict[str, dict[str, None]]:
+    """Return by road the road itself, those that it names and those that name it, in the file's order."""
+    linked: dict[str, dict[str, None]] = {road: {road: None} for road in content.roads}
+    for road in content.roads.values():
+        for link in (road.predecessor, road.successor):
+            if link is not None and not link.is_junction and link.id in linked:
+                linked[road.id][link.id] = linked[link.id][road.id] = None
+    return linked

@@ -8,7 +8,7 @@ def leave_out_virtual_junctions(content: OpenDrive) -> None:
 
     A vehicle from such a road would appear in the middle of the traffic: no lane of the main road ends there.
     """
-    virtual = [junction.id for junction in content.junctions.values() if junction.type == "virtual"]
+    virtual = {junction.id: None for junction in content.junctions.values() if junction.type == "virtual"}
     if not virtual:
         return
     for identifier in virtual:
@@ -18,7 +18,7 @@ def leave_out_virtual_junctions(content: OpenDrive) -> None:
             f"junction {identifier}, line {junction.line}",
             allowed=True,
         )
-    removed = [road.id for road in content.roads.values() if road.junction in virtual]
+    removed = {road.id for road in content.roads.values() if road.junction in virtual}
     for identifier in removed:
         del content.roads[identifier]
 
