@@ -25,7 +25,7 @@ AROUND = 400.0 + 2.0 * math.pi * (30.0 + 1.75)
 """Metres of the ring's lane."""
 
 
-@pytest.mark.parametrize("rounding", [0.0, 5e-10, 5e-8, 5e-7, 2e-6])
+@pytest.mark.parametrize("rounding", [0.0, 5e-10, 5e-8, 5e-7, 2e-6, -5e-10, -5e-8, -5e-7])
 def test_a_lane_follows_its_own_geometry_however_stations_are_rounded(
     tmp_path: Path, rounding: float
 ) -> None:

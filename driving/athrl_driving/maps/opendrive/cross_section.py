@@ -87,7 +87,7 @@ def _at_least_zero(content: OpenDrive, road: Road, lane: Lane, width: Floats, st
 
 def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[float]:
     """Return a section's ends and the stations between where the formula of a driving lane changes."""
-    cuts = {section.s, section.end}
+    cuts: set[float] = set()
     for starts in (road.geometries, road.offsets, road.speeds):
         cuts.update(_starts_within(starts, section))
     for side in (1, -1):
@@ -98,12 +98,13 @@ def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[fl
                 cuts.update(record.s for record in records)
                 cuts.update(limit.s for limit in lane.speeds)
                 cuts.update(_narrow_ends(lane, section))
-    inside = sorted(s for s in cuts if section.s <= s <= section.end)
-    distinct = inside[:1]
-    for s in inside[1:]:
+    # What is as good as a section's end is that end, where the next section begins: there they are linked.
+    inside = sorted(s for s in cuts if section.s < s < section.end - SAME_PLACE)
+    distinct = [section.s]
+    for s in inside:
         if s - distinct[-1] > SAME_PLACE:
             distinct.append(s)
-    return distinct
+    return [*distinct, section.end] if section.end - section.s > SAME_PLACE else distinct
 
 
 def _starts_within(records: Sequence[Geometry | Cubic | SpeedLimit], section: LaneSection) -> list[float]:
