@@ -83,9 +83,10 @@ def line(finding: Finding) -> Text:
 
 def verdict(found: list[Finding]) -> str:
     """Return the last line."""
-    counts = facts(found)
-    checks, warnings = counted(len(found), "check"), counted(counts["warnings"], "warning")
-    return f"{checks}, {warnings}, {counts['failed']} failed"
+    levels = [finding.level for finding in found]
+    checks = counted(len(found), "check")
+    warnings = counted(levels.count(Level.WARNING), "warning")
+    return f"{checks}, {warnings}, {levels.count(Level.FAILED)} failed"
 
 
 def _checks(settings: RunFile, connect: str | None, run: str | None) -> Iterator[tuple[str, Check]]:
