@@ -147,6 +147,40 @@ def test_arrears_are_paid_off_and_do_not_come_back():
         assert limiter.surplus <= limiter.error_bound
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"ratio": 4.0},  # due are 4 * (500 - 100), taken were 8 * (500 - 100)
+        {"ratio": 8.0, "minimum_inserts": 400},
+        {"ratio": 8.0, "minimum_inserts": 600},  # then the warm-up goes on first
+    ],
+)
+def test_run_resumed_with_less_training_trains_on(changes):
+    """It would have waited for as much experience as the run had so far, maybe to its end."""
+    limiter = small_limiter(**changes)
+    limiter.load_state({"inserts": 500, "samples": 3200})
+    limiter.resume()
+    limiter.inserted(max(0, limiter.minimum_inserts - limiter.inserts))
+    assert limiter.surplus == 0
+    assert limiter.permits_sample(40)
+    for _ in range(10):
+        limiter.inserted(10)
+        limiter.sampled(round(10 * limiter.ratio))
+    assert limiter.surplus == 0
+
+
+@pytest.mark.parametrize("inserts", [0, 30, 99, 100, 140])
+def test_restart_with_the_same_settings_forgives_nothing(inserts):
+    limiter = small_limiter()
+    limiter.inserted(inserts)
+    while limiter.permits_sample(40):
+        limiter.sampled(40)
+    surplus = limiter.surplus
+    limiter.resume()
+    assert limiter.forgiven == 0
+    assert limiter.surplus == surplus
+
+
 @given(limiters, st.integers(0, 50_000), requests)
 def test_one_side_may_always_go_on_in_arrears_too(limiter, inserts, steps):
     limiter.inserted(inserts)

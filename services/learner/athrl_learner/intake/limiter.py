@@ -16,6 +16,9 @@ A learner that was killed restores the experience after its newest checkpoint, a
 If the bound applied at once, the actors would wait until that is trained, maybe for minutes. So what is owed
 beyond the bound becomes arrears: the bound is wider by the arrears and by one insert. Half of the samples
 then pay off the arrears, the other half are for new experience.
+
+A run may be resumed with a smaller ratio or a longer warm-up. By these its training leads by all that it has
+sampled more, maybe by as much as the rest of the run is due. So a lead beyond the bound is not counted.
 """
 
 from __future__ import annotations
@@ -62,12 +65,13 @@ class SamplesPerInsert:
         self.inserts = 0
         self.samples = 0
         self.arrears = 0.0  # samples owed since a restart, by which the surplus may exceed its bound
+        self.forgiven = 0.0  # samples that were taken under other settings, and are not counted
         self.closed = False
 
     @property
     def surplus(self) -> float:
         """Samples due for the inserts so far, minus those taken; negative while samples lead."""
-        return self.ratio * (self.inserts - self.minimum_inserts) - self.samples
+        return self.ratio * (self.inserts - self.minimum_inserts) - self.samples + self.forgiven
 
     @property
     def warmed_up(self) -> bool:
@@ -107,8 +111,11 @@ class SamplesPerInsert:
     def resume(self) -> None:
         """Turn samples that are owed beyond the bound into arrears; called after a restart.
 
-        One more insert is permitted at once, so that no actor waits until training has made room for it.
+        One more insert is permitted at once, so that no actor waits until training has made room for it. A
+        lead beyond the bound is forgiven: only other settings than before can have made it.
         """
+        due = self.ratio * max(0, self.inserts - self.minimum_inserts)
+        self.forgiven = self.samples - due if self.samples - due > self.error_bound else 0.0
         self.arrears = max(0.0, self.surplus + self.ratio * self.largest_insert - self.error_bound)
 
     def close(self) -> None:
