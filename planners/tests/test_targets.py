@@ -226,6 +226,39 @@ def test_target_of_a_held_intention_values_the_one_that_still_holds(
     assert told[0] == pytest.approx(expected, abs=1e-3)
 
 
+def test_entropy_counts_only_where_an_intention_is_decided(
+    new_agent: NewAgent, replay_of: ReplayOf, new_sequence: NewSequence
+) -> None:
+    """0.1 * (10 + 0.9 * 20) + 0.81 * 2: it is still held after two decisions, so nothing is drawn there."""
+    held_by_sac = {**HELD, "update_rule": "sac", "sac_temperature": 100.0}
+    agent = new_agent(intention_every=3, **held_by_sac)
+    sequence = new_sequence(agent, 1, length=2)
+    sequence.initial_state["intention"][-1] = 0  # decided at 0, held at 1 and at 2
+    sequence.rewards["intention"][:2] = [10, 20]
+    say(agent.state.levels[0], 2.0, "target")
+    for networks in ("online", "target"):
+        say(agent.state.levels[1], 0.0, networks)
+    told = told_targets(agent, replay_of(agent, [sequence]), 0)
+    assert told[0] == pytest.approx(2.8 + 0.81 * 2, abs=1e-3)
+
+
+def test_decisions_that_only_hold_an_intention_have_no_error_of_it(
+    new_agent: NewAgent, replay_of: ReplayOf, new_sequence: NewSequence
+) -> None:
+    """No critic is trained on them, so no priority should follow from what one says of them."""
+    agent = new_agent(intention_every=3, **HELD)
+    sequence = new_sequence(agent, 1, length=5)
+    sequence.initial_state["intention"][-1] = 1  # decided at 1 and at 4
+    for rewards in sequence.rewards.values():
+        rewards[:] = 0
+    for level in agent.state.levels:
+        say(level, 0.0, "target")
+    say(agent.state.levels[1], 0.0)
+    told = told_targets(agent, replay_of(agent, [sequence]), 0)
+    errors = {place: target - FAR for place, target in told.items()}
+    assert errors == pytest.approx({0: 0, 1: -FAR, 2: 0, 3: 0, 4: -FAR}, abs=1e-3)
+
+
 def test_end_costs_its_penalty_once_at_the_step_where_it_happens(
     new_agent: NewAgent, replay_of: ReplayOf, new_sequence: NewSequence
 ) -> None:

@@ -212,8 +212,8 @@ def test_sac_actor_climbs_the_smaller_critic_and_the_entropy() -> None:
     objective = rule.objective(LevelNetworks(Says(output), critics), torch.zeros(2, 0), torch.zeros(2, 0))
     log_density = distribution.log_prob(objective.action).sum(dim=1)
     value = objective.action.sum(dim=1).clamp(max=0.5)
-    # The temperature's own term is there for its gradient; its value is added to both rows alike.
-    term = math.log(0.3) * log_density.mean()
+    # The temperature's own term is there for its gradient.
+    term = math.log(0.3) * log_density
     torch.testing.assert_close(objective.gain, value - 0.3 * log_density + term, rtol=1e-3, atol=1e-3)
 
 
@@ -224,6 +224,17 @@ def test_sac_temperature_rises_while_there_is_too_little_entropy(wanted: float, 
     gain = rule.objective(networks, torch.zeros(2, 0), torch.zeros(2, 0)).gain.mean()
     (gradient,) = torch.autograd.grad(gain, rule.log_temperature)
     assert (float(gradient) > 0) is rises
+
+
+def test_sac_temperature_learns_from_a_decision_as_much_as_it_counts() -> None:
+    """Not from padding, and not where a decision is only held: their weights are 0."""
+    rule = numbers("sac")
+    output, distribution = soft_case()
+    networks = LevelNetworks(Says(output), [Says(torch.zeros(2, 1))])
+    objective = rule.objective(networks, torch.zeros(2, 0), torch.zeros(2, 0))
+    (gradient,) = torch.autograd.grad(objective.gain @ torch.tensor([0.0, 1.0]), rule.log_temperature)
+    log_density = distribution.log_prob(objective.action).sum(dim=1)
+    assert float(gradient) == pytest.approx(float(log_density[1]) + 2 * -1.0, abs=1e-3)
 
 
 def test_sac_decides_its_mean_unless_it_is_given_noise() -> None:

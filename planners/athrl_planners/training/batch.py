@@ -30,7 +30,8 @@ class LevelData:
         taken: float32 [n, encoded], what it decided.
         reward: float32 [n], scaled, summed and discounted up to its horizon.
         discount: float32 [n], of the value at the horizon; 0 if the episode terminated.
-        weights: float32 [n], of the decisions in its losses, with a sum of 1.
+        weights: float32 [n], of the decisions in its losses, with a sum of 1; 0 for padding, the burn-in, and
+            where its decision is held.
         horizon: index of its own horizon.
         held: bool [horizons, n], whether its decision is still held there; None if it decides every time.
         in_force: float32 [horizons, n, encoded], the held decision.
@@ -67,7 +68,6 @@ class TrainingBatch:
         levels: training data of each level.
         item_of: int64 [n], index of the item to which each decision belongs.
         items: sequences or transitions in the batch.
-        trained: float32 [n], 0 for padding and the burn-in, which have no errors; None if there are none.
     """
 
     frames: TransitionFrames | SequenceFrames | PaddedFrames
@@ -75,7 +75,6 @@ class TrainingBatch:
     levels: dict[str, LevelData]
     item_of: Tensor
     items: int
-    trained: Tensor | None = None
 
     def split(self, parts: int) -> list[TrainingBatch]:
         """Split into `parts` of about equal size, or as many as there are items, whose losses add up.
@@ -184,8 +183,7 @@ class BatchPreparation:
                 self._tensor((steps < burn_in).reshape(-1, 1)),
                 self._tensor(chosen + count * ahead),
             )
-            real = self._tensor(trained.astype(np.float32))
-            return TrainingBatch(frames, states, levels, item_of, count, real)
+            return TrainingBatch(frames, states, levels, item_of, count)
         return TrainingBatch(
             self._without_padding(batch, burn_in, chosen, ahead), states, levels, item_of, count
         )

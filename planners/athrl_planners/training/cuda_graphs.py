@@ -141,7 +141,7 @@ def _tensors(data: TrainingBatch) -> Iterator[Tensor]:
     assert isinstance(data.frames, TransitionFrames | PaddedFrames)
     yield from data.frames.tensors()
     yield data.item_of
-    yield from (tensor for tensor in (data.trained, *data.states.values()) if tensor is not None)
+    yield from data.states.values()
     for level in data.levels.values():
         yield from (level.taken, level.reward, level.discount, level.weights)
         yield from (tensor for tensor in (level.held, level.in_force) if tensor is not None)
@@ -166,7 +166,6 @@ def _of_tensors(data: TrainingBatch, tensors: Iterator[Tensor]) -> TrainingBatch
         data,
         frames=data.frames.of(tensors),
         item_of=next(tensors),
-        trained=None if data.trained is None else next(tensors),
         states={name: next(tensors) for name in data.states},
         levels={name: level(like) for name, like in data.levels.items()},
     )

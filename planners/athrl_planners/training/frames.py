@@ -45,7 +45,7 @@ class TransitionFrames:
 
 
 class SequenceFrames:
-    """Observations of whole sequences; padding is skipped, and the burn-in has no gradient.
+    """Observations of whole sequences; padding is skipped, and the burn-in does not train the encoder.
 
     Frames are numbered `step * batch + sequence`.
 
@@ -96,7 +96,7 @@ class PaddedFrames:
     """Observations of whole sequences with their padding, for which the losses have no weight.
 
     All time * batch steps count as decisions, in the order of `SequenceFrames`: the shapes do not depend on
-    how long the sequences are. The burn-in has no gradient.
+    how long the sequences are. The burn-in does not train the encoder.
     """
 
     def __init__(self, images: Tensor, motion: Tensor, burn_in: Tensor, after: Tensor) -> None:

@@ -33,7 +33,7 @@ class CriticLoss(NamedTuple):
     contexts: dict[str, Tensor]
     """By name of the trunk float32 [n, context], without gradient."""
     errors: Tensor
-    """float32 [items], the largest absolute error of each item of the batch."""
+    """float32 [items], the largest absolute error of each item of the batch, of what its levels train on."""
     metrics: dict[str, Tensor]
     """float32 [] each."""
 
@@ -60,15 +60,14 @@ def critic_loss(state: TrainingState, data: TrainingBatch) -> CriticLoss:
         seen = joined(above, context)
         outputs = [level.rule.value_of(critic, context, seen, part.taken) for critic in level.online.critics]
         losses = torch.stack([state.values.loss(output, target) for output in outputs])
-        level_loss = losses.sum(dim=0) @ part.weights
+        level_loss = weighted_sum(losses.sum(dim=0), part.weights)
         loss = loss + level_loss
         value = state.values.mean(outputs[0].detach())
         error = (value - state.values.target_mean(target)).abs()
-        real_error = error if data.trained is None else error * data.trained
-        errors.scatter_reduce_(0, data.item_of, real_error, "amax")
+        errors.scatter_reduce_(0, data.item_of, error * (part.weights > 0), "amax")
         metrics[f"{level.name}/critic_loss"] = level_loss.detach()
-        metrics[f"{level.name}/value"] = value @ part.weights
-        metrics[f"{level.name}/td_error"] = error @ part.weights
+        metrics[f"{level.name}/value"] = weighted_sum(value, part.weights)
+        metrics[f"{level.name}/td_error"] = weighted_sum(error, part.weights)
         above.append(part.taken)
     detached = {name: context.detach().float() for name, context in contexts.items()}
     return CriticLoss(loss, detached, errors, metrics)
@@ -95,12 +94,17 @@ def actor_losses(
                 seen = joined([*above, objective.action], context)
                 joint = below.rule.objective(below.online, below_context, seen, penalised=False).gain
                 gain = gain + level.plan.gradient_from_below * joint
-            losses[level.name] = -(gain @ part.weights)
+            losses[level.name] = -weighted_sum(gain, part.weights)
             metrics[f"{level.name}/actor_loss"] = losses[level.name].detach()
             saturated = (objective.raw.detach().abs() > 2).float().mean(dim=1)
-            metrics[f"{level.name}/saturated"] = saturated @ part.weights
+            metrics[f"{level.name}/saturated"] = weighted_sum(saturated, part.weights)
         above.append(part.taken)
     return losses, metrics
+
+
+def weighted_sum(values: Tensor, weights: Tensor) -> Tensor:
+    """The sum of values [n] by their weights [n]: []. A product of vectors would be rounded to bfloat16."""
+    return (values * weights).sum()
 
 
 @torch.no_grad()
@@ -146,7 +150,7 @@ class _NextDecisions:
         contexts = (self._target[name][self._horizon], self._online[name][self._horizon])
         seen = joined(above, contexts[0])
         step = level.rule.next_step(level.target, level.online, contexts, seen)
-        action, held = step.action, None
+        action, bonus, held = step.action, step.bonus, None
         if part.held is not None and part.in_force is not None:
             held, in_force = part.held[self._horizon].unsqueeze(1), part.in_force[self._horizon]
             action = torch.where(held, in_force, action)
@@ -155,7 +159,8 @@ class _NextDecisions:
             if held is not None:
                 output_in_force = level.rule.target_output(level.target, contexts[0], seen, action)
                 output = torch.where(held, output_in_force, output)
-            self._outputs[level.name] = (output, step.bonus)
+                bonus = None if bonus is None else bonus.masked_fill(held.squeeze(1), 0.0)
+            self._outputs[level.name] = (output, bonus)
         return action
 
     def target(self, level: Level) -> Tensor:

@@ -59,7 +59,7 @@ class SoftRule(ContinuousRule):
         if not penalised:
             return Objective(gain, action, raw)
         gain = gain - self.log_temperature.detach().exp() * log_probability
-        missing = (log_probability.detach() + self._wanted_entropy).mean()
+        missing = log_probability.detach() + self._wanted_entropy
         return Objective(gain + self.log_temperature * missing, action, raw)
 
     def _sample(self, output: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -78,8 +78,8 @@ class DistributionalValues(nn.Module):
         return -(target * functional.log_softmax(output, dim=1)).sum(dim=1)
 
     def target_mean(self, target: Tensor) -> Tensor:
-        """The mean value of a target [n, atoms]: [n]."""
-        return target @ self.support
+        """The mean value of a target [n, atoms]: [n]; as a matrix product it would be rounded to bfloat16."""
+        return (target * self.support).sum(dim=1)
 
 
 Values = ScalarValues | DistributionalValues

@@ -1,6 +1,7 @@
 """The limiter holds the ratio, never stops both sides, and survives a restart."""
 
 import copy
+import json
 import math
 
 import pytest
@@ -147,6 +148,55 @@ def test_arrears_are_paid_off_and_do_not_come_back():
         assert limiter.surplus <= limiter.error_bound
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"ratio": 4.0},  # due are 4 * (500 - 100), taken were 8 * (500 - 100)
+        {"ratio": 8.0, "minimum_inserts": 400},
+        {"ratio": 8.0, "minimum_inserts": 600},  # then the warm-up goes on first
+    ],
+)
+def test_run_resumed_with_less_training_trains_on(changes):
+    """It would have waited for as much experience as the run had so far, maybe to its end."""
+    limiter = small_limiter(**changes)
+    limiter.load_state({"inserts": 500, "samples": 3200})
+    limiter.resume()
+    limiter.inserted(max(0, limiter.minimum_inserts - limiter.inserts))
+    assert limiter.surplus == 0
+    assert limiter.permits_sample(40)
+    for _ in range(10):
+        limiter.inserted(10)
+        limiter.sampled(round(10 * limiter.ratio))
+    assert limiter.surplus == 0
+
+
+def test_restart_goes_on_with_what_was_forgiven_and_a_return_to_the_settings_ends_it():
+    limiter = small_limiter()
+    limiter.load_state({"inserts": 500, "samples": 3200})  # by a ratio of 8; due are 1600 by 4
+    limiter.resume()
+    assert limiter.forgiven == 1600
+    limiter.inserted(100)
+    limiter.sampled(360)  # 40 of 400 are still owed
+    restored, as_before = small_limiter(), small_limiter(ratio=8.0)
+    for each in (restored, as_before):
+        each.load_state(json.loads(json.dumps(limiter.state())))
+        each.resume()
+    assert restored.surplus == limiter.surplus == 40
+    assert (as_before.forgiven, as_before.surplus) == (0, 8 * (600 - 100) - 3560)
+
+
+@pytest.mark.parametrize("inserts", [0, 30, 99, 100, 140])
+def test_restart_with_the_same_settings_forgives_nothing(inserts):
+    limiter = small_limiter()
+    limiter.inserted(inserts)
+    while limiter.permits_sample(40):
+        limiter.sampled(40)
+    surplus = limiter.surplus
+    limiter.resume()
+    assert limiter.forgiven == 0
+    assert limiter.surplus == surplus
+
+
 @given(limiters, st.integers(0, 50_000), requests)
 def test_one_side_may_always_go_on_in_arrears_too(limiter, inserts, steps):
     limiter.inserted(inserts)
@@ -160,8 +210,16 @@ def test_one_side_may_always_go_on_in_arrears_too(limiter, inserts, steps):
 
 
 @pytest.mark.parametrize(
-    "state", [{}, {"inserts": 3}, {"inserts": -1, "samples": 0}, {"inserts": 1.5, "samples": 0}]
+    "state",
+    [
+        {},
+        {"inserts": 3},
+        {"inserts": -1, "samples": 0},
+        {"inserts": 1.5, "samples": 0},
+        {"inserts": 1, "samples": 0, "forgiven": -1.0},
+        {"inserts": 1, "samples": 0, "forgiven": "all"},
+    ],
 )
 def test_a_wrong_state_is_refused(state):
-    with pytest.raises(ValueError, match="integer >= 0"):
+    with pytest.raises(ValueError, match=r"(integer|number) >= 0"):
         small_limiter().load_state(state)

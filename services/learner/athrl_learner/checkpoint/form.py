@@ -29,6 +29,7 @@ class _Form(BaseModel):
 class _Limiter(_Form):
     inserts: Count
     samples: Count
+    forgiven: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
 
 
 class _Replay(_Form):

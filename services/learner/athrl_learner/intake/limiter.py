@@ -16,10 +16,14 @@ A learner that was killed restores the experience after its newest checkpoint, a
 If the bound applied at once, the actors would wait until that is trained, maybe for minutes. So what is owed
 beyond the bound becomes arrears: the bound is wider by the arrears and by one insert. Half of the samples
 then pay off the arrears, the other half are for new experience.
+
+A run may be resumed with a smaller ratio or a longer warm-up. By these its training leads by all that it has
+sampled more, maybe by as much as the rest of the run is due. So a lead beyond the bound is not counted.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 #: Share of the samples that pays off arrears while there are any.
@@ -62,12 +66,13 @@ class SamplesPerInsert:
         self.inserts = 0
         self.samples = 0
         self.arrears = 0.0  # samples owed since a restart, by which the surplus may exceed its bound
+        self.forgiven = 0.0  # samples that were taken under other settings, and are not counted
         self.closed = False
 
     @property
     def surplus(self) -> float:
         """Samples due for the inserts so far, minus those taken; negative while samples lead."""
-        return self.ratio * (self.inserts - self.minimum_inserts) - self.samples
+        return self.ratio * (self.inserts - self.minimum_inserts) - self.samples + self.forgiven
 
     @property
     def warmed_up(self) -> bool:
@@ -107,8 +112,13 @@ class SamplesPerInsert:
     def resume(self) -> None:
         """Turn samples that are owed beyond the bound into arrears; called after a restart.
 
-        One more insert is permitted at once, so that no actor waits until training has made room for it.
+        One more insert is permitted at once, so that no actor waits until training has made room for it. A
+        lead beyond the bound is forgiven: only other settings than before can have made it.
         """
+        due = self.ratio * max(0, self.inserts - self.minimum_inserts)
+        lead = self.samples - self.forgiven - due
+        if lead > self.error_bound:
+            self.forgiven += lead
         self.arrears = max(0.0, self.surplus + self.ratio * self.largest_insert - self.error_bound)
 
     def close(self) -> None:
@@ -134,18 +144,26 @@ class SamplesPerInsert:
         """The realised ratio and its target, in words."""
         return f"{self.realised_ratio:.1f} samples per insert, {self.ratio:g} wanted"
 
-    def state(self) -> dict[str, int]:
+    def state(self) -> dict[str, float]:
         """The counts, for a checkpoint. The bounds come from the run file."""
-        return {"inserts": self.inserts, "samples": self.samples}
+        counts: dict[str, float] = {"inserts": self.inserts, "samples": self.samples}
+        if self.forgiven:
+            counts |= {"forgiven": self.forgiven, "ratio": self.ratio, "minimum": self.minimum_inserts}
+        return counts
 
-    def load_state(self, state: Mapping[str, int]) -> None:
-        """Continue from the counts of `state()`.
+    def load_state(self, state: Mapping[str, float]) -> None:
+        """Continue from the counts of `state()`; what was forgiven counts again if the settings have changed.
 
         Raises:
-            ValueError: a count is missing or no integer >= 0.
+            ValueError: a count is missing or no integer >= 0, or what was forgiven is no number >= 0.
         """
         counts = {name: state.get(name) for name in ("inserts", "samples")}
         for name, count in counts.items():
             if not isinstance(count, int) or isinstance(count, bool) or count < 0:
                 raise ValueError(f"the limiter's {name} must be an integer >= 0, not {count!r}")
+        forgiven = state.get("forgiven", 0.0)
+        if not isinstance(forgiven, int | float) or not 0 <= forgiven < math.inf:
+            raise ValueError(f"the limiter's forgiven must be a number >= 0, not {forgiven!r}")
         self.inserts, self.samples = int(state["inserts"]), int(state["samples"])
+        same = (state.get("ratio"), state.get("minimum")) == (self.ratio, self.minimum_inserts)
+        self.forgiven = float(forgiven) if same else 0.0
