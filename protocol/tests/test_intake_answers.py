@@ -106,8 +106,8 @@ def test_lost_chunks_are_one_line_of_warning(
             assert isinstance(_ask(session, "actor-0", chunk.SerializeToString()), athrl_pb2.Acknowledgement)
         assert intake.statistics().lost == 8
     assert [text for text in caplog.messages if "lost" in text] == [
-        "chunks of actor-0 are lost (intake/lost): it does not hold them any more, and they were not accepted "
-        "here; another process may have acknowledged them"
+        "chunks of actor-0 are lost (intake/lost): it does not hold them any more, and they were not "
+        "accepted here; another process may have acknowledged them"
     ]
 
 
