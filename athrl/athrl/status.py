@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -128,9 +129,20 @@ def facts(snapshot: RunSnapshot) -> dict[str, Any]:
         "silence": snapshot.silence,
         "changes": list(snapshot.changes),
         "warnings": list(snapshot.warnings),
-        "learner": snapshot.of_role("learner").get("learner", {}),
-        "actors": snapshot.of_role("actor"),
-        "evaluators": snapshot.of_role("evaluator"),
+        "learner": _of_json(snapshot.of_role("learner").get("learner", {})),
+        "actors": _of_json(snapshot.of_role("actor")),
+        "evaluators": _of_json(snapshot.of_role("evaluator")),
         "routers": sorted(snapshot.of_role("router")),
-        "evaluations": {driver: asdict(result) for driver, result in snapshot.evaluations.items()},
+        "evaluations": {driver: _of_json(asdict(result)) for driver, result in snapshot.evaluations.items()},
     }
+
+
+def _of_json(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with None for numbers that JSON does not have, which a service may report."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return _of_json(value)
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return {name: plain(value) for name, value in values.items()}

@@ -43,6 +43,7 @@ class ServiceProcess:
     started_at: float = field(default=0.0, init=False)
     _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
     _log_start: int = field(default=0, init=False)
+    _ended: bool = field(default=False, init=False)
 
     def start(self, extra_arguments: list[str] | None = None) -> None:
         """Start the process; its output is appended to its log.
@@ -59,6 +60,7 @@ class ServiceProcess:
             raise CommandError(f"cannot write {self.log}: {system_reason(error)}") from None
         with log:
             self._log_start = log.tell()
+            self._ended = False
             try:
                 self._process = subprocess.Popen(
                     [*self.command, *self.arguments, *(extra_arguments or [])],
@@ -102,8 +104,11 @@ class ServiceProcess:
         return True
 
     def kill(self) -> None:
-        """End the process and its child processes, without waiting."""
-        if self._process is not None:
+        """End the process and its child processes, without waiting.
+
+        Nothing after `end`: by then another process may have their number.
+        """
+        if self._process is not None and not self._ended:
             with contextlib.suppress(ProcessLookupError):  # the group has ended with its last process
                 os.killpg(self._process.pid, signal.SIGKILL)
 
@@ -122,6 +127,7 @@ class ServiceProcess:
             raise CommandError(
                 f"{self.name} was killed and still runs after {END_SECONDS:g} s: does a disk not answer?"
             )
+        self._ended = True
 
     def last_lines(self, count: int = 5) -> list[str]:
         """Return the last lines that the newest process wrote."""
