@@ -42,7 +42,7 @@ $(INSTALLED): constraints.txt requirements-dev.txt $(ROOMS:%=%/pyproject.toml)
 	@touch $@
 
 train: $(INSTALLED)
-	@$(BIN)/athrl train --run-file $(RUN_FILE) $(ARGS)
+	@$(BIN)/athrl train --run-file "$(RUN_FILE)" $(ARGS)
 
 # What is checked and what is compiled take a core each; without this the tests' first minute is spent waiting
 # for the one process that compiles.

@@ -7,6 +7,7 @@ not send its last frames and would report errors. It never outlives this process
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import ipaddress
@@ -16,7 +17,6 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -74,7 +74,7 @@ class Server(NamedTuple):
         return f"{page.rstrip('/')}/?url={quote(frames, safe=':/')}"
 
 
-@contextmanager
+@contextlib.contextmanager
 def server_process(server: Server) -> Iterator[subprocess.Popen]:
     """A rerun server without a window.
 
@@ -94,7 +94,7 @@ def server_process(server: Server) -> Iterator[subprocess.Popen]:
         yield process
 
 
-@contextmanager
+@contextlib.contextmanager
 def viewer_process(port: int) -> Iterator[subprocess.Popen]:
     """A viewer with a window, which listens at loopback; raises ProtocolError without a screen."""
     require_screen()
@@ -140,7 +140,7 @@ def _require_guarded(bind: str) -> None:
         )
 
 
-@contextmanager
+@contextlib.contextmanager
 def _process(bind: str, ports: Sequence[int], options: list[str]) -> Iterator[subprocess.Popen]:
     for port in ports:
         _check_free(bind, port)
@@ -164,7 +164,8 @@ def _process(bind: str, ports: Sequence[int], options: list[str]) -> Iterator[su
             process.wait(timeout=END_SECONDS)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.wait()
+            with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel waits for a device in its place
+                process.wait(timeout=END_SECONDS)
 
 
 def _end_with_parent() -> None:
