@@ -14,6 +14,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import queue
 import statistics
 import sys
 import tempfile
@@ -32,6 +33,7 @@ from athrl_protocol.faults.zenoh_refusals import refusals_logged
 TIME, SIZE = 10, 32
 RUN = "benchmark"
 JOINED_WITHIN = 60.0
+MEASURED_WITHIN = 120.0  # beside the seconds of the measurement
 KINDS = ("plain", "encrypted", "encrypted, refusals logged")
 
 
@@ -145,7 +147,11 @@ def main() -> None:
                 what = (kind, certificates, arguments.actors, arguments.seconds)
                 process = context.Process(target=_measure_alone, args=(what, results))
                 process.start()
-                found[kind].append(results.get(timeout=120))
+                try:
+                    found[kind].append(results.get(timeout=MEASURED_WITHIN + arguments.seconds))
+                except queue.Empty:
+                    process.kill()
+                    sys.exit(f"{kind}: no figures within {MEASURED_WITHIN + arguments.seconds:g} s")
                 process.join(timeout=30)
     rates = {kind: statistics.median(rate for rate, _ in each) for kind, each in found.items()}
     costs = {kind: statistics.median(cost for _, cost in each) for kind, each in found.items()}
