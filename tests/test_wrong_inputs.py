@@ -302,6 +302,7 @@ def test_watching_a_file_that_is_no_recording_is_refused_at_once(forked, tmp_pat
     ("options", "words"),
     [
         (["--page", "9000"], ("--page", "--browser")),
+        (["--bind", "0.0.0.0"], ("--bind 0.0.0.0", "--serve", "--browser")),
         (["--browser", "--page", "9000", "--serve", "9000"], ("--serve 9000", "--page")),
         (["--browser", "--bind", "0.0.0.0"], ("--bind 0.0.0.0", "password", "ssh")),
         (["--browser", "--save", "seen.rrd"], ("--browser", "--save")),

@@ -141,6 +141,14 @@ def test_a_service_that_drains_is_not_cut_short(overlay: Overlay) -> None:
             assert grace == seconds(composed[name]["stop_grace_period"]), name
 
 
+@every_overlay
+def test_a_learner_has_as_long_as_in_containers_to_read_its_log(overlay: Overlay) -> None:
+    probe = overlay.pods()["learner"].main["startupProbe"]
+    image = (ROOT / "deploy" / "Dockerfile").read_text().partition("AS learner\n")[2]
+    (started,) = re.findall(r"--start-period=(\d+)s", image)
+    assert probe["periodSeconds"] * probe["failureThreshold"] == int(started)
+
+
 @pytest.mark.parametrize("overlay", [name for name in OVERLAYS if name != "cert-manager"], indirect=True)
 def test_the_job_alone_may_touch_secrets_and_only_those_of_certificates(overlay: Overlay) -> None:
     (rule,) = overlay.get("Role", "certificates")["rules"]
