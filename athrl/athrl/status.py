@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -19,6 +18,7 @@ from rich.live import Live
 from athrl.certificate_role import warn_limited_view
 from athrl.errors import CommandError
 from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, JsonOption, LiveRunOption
+from athrl.output import of_json
 from athrl.run_view import RunSnapshot, RunView
 from athrl.service_names import host_name, is_own_name
 from athrl.status_panel import draw
@@ -129,20 +129,9 @@ def facts(snapshot: RunSnapshot) -> dict[str, Any]:
         "silence": snapshot.silence,
         "changes": list(snapshot.changes),
         "warnings": list(snapshot.warnings),
-        "learner": _of_json(snapshot.of_role("learner").get("learner", {})),
-        "actors": _of_json(snapshot.of_role("actor")),
-        "evaluators": _of_json(snapshot.of_role("evaluator")),
+        "learner": of_json(snapshot.of_role("learner").get("learner", {})),
+        "actors": of_json(snapshot.of_role("actor")),
+        "evaluators": of_json(snapshot.of_role("evaluator")),
         "routers": sorted(snapshot.of_role("router")),
-        "evaluations": {driver: _of_json(asdict(result)) for driver, result in snapshot.evaluations.items()},
+        "evaluations": {driver: of_json(asdict(result)) for driver, result in snapshot.evaluations.items()},
     }
-
-
-def _of_json(values: dict[str, Any]) -> dict[str, Any]:
-    """The values with None for numbers that JSON does not have, which a service may report."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return _of_json(value)
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    return {name: plain(value) for name, value in values.items()}
