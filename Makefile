@@ -22,7 +22,7 @@ PYTEST := $(BIN)/pytest --numprocesses=$(JOBS) --dist=worksteal
 
 .PHONY: help install train test test-all check lint kernels format docs images clean
 
-# Tests start hundreds of processes: where no bytecode is kept, each of them compiles every source anew.
+# Tests start hundreds of processes: where no bytecode is kept, each of them compiles every source again.
 test test-all check: export PYTHONDONTWRITEBYTECODE =
 
 help:
