@@ -132,7 +132,7 @@ def free_port() -> int:
 
 
 def _require_guarded(bind: str) -> None:
-    """Raise ProtocolError for a page that everybody who reaches this machine could open, unless that is wanted."""
+    """Raise ProtocolError for a page that other machines could open, unless that is wanted."""
     if not _ip_address(bind).is_loopback and not os.environ.get(PAGE_VARIABLE):
         raise ProtocolError(
             f"--bind {bind}: the page has neither encryption nor a password, it should be at 127.0.0.1 and "
