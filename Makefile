@@ -22,7 +22,7 @@ PYTEST := $(BIN)/pytest --numprocesses=$(JOBS) --dist=worksteal
 
 .PHONY: help install train test test-all check lint kernels format docs images clean
 
-# Tests start hundreds of processes: where no bytecode is kept, each of them compiles every source anew.
+# Tests start hundreds of processes: where no bytecode is kept, each of them compiles every source again.
 test test-all check: export PYTHONDONTWRITEBYTECODE =
 
 help:
@@ -42,7 +42,7 @@ $(INSTALLED): constraints.txt requirements-dev.txt $(ROOMS:%=%/pyproject.toml)
 	@touch $@
 
 train: $(INSTALLED)
-	@$(BIN)/athrl train --run-file $(RUN_FILE) $(ARGS)
+	@$(BIN)/athrl train --run-file "$(RUN_FILE)" $(ARGS)
 
 # What is checked and what is compiled take a core each; without this the tests' first minute is spent waiting
 # for the one process that compiles.

@@ -4,16 +4,19 @@
 
 Actors are processes of their own that upload as fast as the learner acknowledges. Rounds of plain TCP, of TLS
 of both sides with the access list, and of that with the log of refusals (as `athrl learner` has it) follow
-each other, so that a busy machine is busy for all; the medians and their ratios to plain TCP are printed.
+each other, so that a busy machine is busy for all; the medians and their ratios to plain TCP are printed, in
+the last line as one JSON object.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import os
-import socket
+import queue
 import statistics
+import sys
 import tempfile
 import threading
 import time
@@ -23,11 +26,14 @@ from pathlib import Path
 
 import numpy as np
 from athrl.certificates import make_all
+from athrl.ports import free_address
 from athrl_protocol import Chunk, ChunkIntake, ChunkUploader, LevelColumns, new_incarnation, open_session
 from athrl_protocol.faults.zenoh_refusals import refusals_logged
 
 TIME, SIZE = 10, 32
 RUN = "benchmark"
+JOINED_WITHIN = 60.0
+MEASURED_WITHIN = 120.0  # beside the seconds of the measurement
 KINDS = ("plain", "encrypted", "encrypted, refusals logged")
 
 
@@ -78,9 +84,7 @@ def upload(address: str, certificates: str | None, name: str, stop: threading.Ev
 
 def measure(kind: str, certificates: Path, actors: int, seconds: float) -> tuple[float, float]:
     """Return transitions a second, and CPU seconds of learner and actors for a thousand chunks."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    address = free_address().removeprefix("tcp/")  # TLS where there are certificates
     folder = None if kind == "plain" else str(certificates)
     context = multiprocessing.get_context("spawn")
     stop, cpu = context.Event(), context.Queue()
@@ -98,7 +102,11 @@ def measure(kind: str, certificates: Path, actors: int, seconds: float) -> tuple
         ]
         for process in processes:
             process.start()
+        deadline = time.monotonic() + JOINED_WITHIN
         while intake.statistics().active_actors < actors:
+            if time.monotonic() > deadline:
+                stop.set()
+                sys.exit(f"{kind}: not all of {actors} actors sent anything within {JOINED_WITHIN:g} s")
             time.sleep(0.05)
         time.sleep(0.5)
         before, began, used = intake.statistics(), time.monotonic(), time.process_time()
@@ -139,7 +147,11 @@ def main() -> None:
                 what = (kind, certificates, arguments.actors, arguments.seconds)
                 process = context.Process(target=_measure_alone, args=(what, results))
                 process.start()
-                found[kind].append(results.get(timeout=120))
+                try:
+                    found[kind].append(results.get(timeout=MEASURED_WITHIN + arguments.seconds))
+                except queue.Empty:
+                    process.kill()
+                    sys.exit(f"{kind}: no figures within {MEASURED_WITHIN + arguments.seconds:g} s")
                 process.join(timeout=30)
     rates = {kind: statistics.median(rate for rate, _ in each) for kind, each in found.items()}
     costs = {kind: statistics.median(cost for _, cost in each) for kind, each in found.items()}
@@ -148,6 +160,16 @@ def main() -> None:
             f"{kind:28s} {rates[kind]:9,.0f} transitions/s ({rates[kind] / rates['plain']:.2f} of plain)  "
             f"{costs[kind]:6.3f} CPU s per 1,000 chunks ({costs[kind] / costs['plain']:.2f} of plain)"
         )
+    rows = {
+        kind: {
+            "transitions_per_second": round(rates[kind]),
+            "of_plain": round(rates[kind] / rates["plain"], 2),
+            "cpu_seconds_per_1000_chunks": round(costs[kind], 3),
+            "cost_of_plain": round(costs[kind] / costs["plain"], 2),
+        }
+        for kind in KINDS
+    }
+    print(json.dumps({"cores": os.cpu_count(), "actors": arguments.actors, "rows": rows}))
 
 
 if __name__ == "__main__":

@@ -36,7 +36,15 @@ def add_map_options(parser: argparse.ArgumentParser) -> None:
 def chosen_maps(arguments: argparse.Namespace) -> dict[str, str]:
     """Return the chosen maps: what to call each, and what `load_town` knows it by."""
     chosen = arguments.maps or [*TOWNS, *map(str, sorted(arguments.carla.glob("*.xodr")))]
-    return {name if name in TOWNS else f"CARLA {load_town(name).name}": name for name in chosen}
+    return {_label(name, arguments.carla): name for name in chosen}
+
+
+def _label(name: str, carla: Path) -> str:
+    """What to call a map; one of neither is called by its path, as others may have its name."""
+    if name in TOWNS:
+        return name
+    called = load_town(name).name  # one that cannot be used is refused before anything is measured
+    return f"CARLA {called}" if Path(name).parent == carla else name
 
 
 @contextmanager

@@ -259,7 +259,7 @@ def main() -> None:
         print(f"no network is cut: {reason}")
     else:
         seconds |= partition(arguments.cuts or [arguments.pause])
-    print("| fault | times | there again, s | goes on after, s, median | worst |\n|---|---|---|---|---|")
+    print("| fault | times | there again, s | continues after, s, median | worst |\n|---|---|---|---|---|")
     rows = {}
     for fault, measured in seconds.items():
         rows[fault] = row = _row(measured)

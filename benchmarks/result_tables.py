@@ -209,7 +209,7 @@ def _default_run(file: Path, facts: Mapping[str, Any], measured: Mapping[str, An
         question=f"What does `athrl train` learn with {decisions:,.0f} decisions and {updates:,.0f} updates?",
         columns=["driver", "return", "of rule-based", "collisions", "off lane", "full episodes"],
         rows=rows,
-        command=f"python -m benchmarks.default_run --seeds {' '.join(runs)}",
+        command=f"python -m benchmarks.default_run --seeds {' '.join(runs)}{_set(facts.get('settings'))}",
         peer=f"the rule-based driver on the same {episodes:.0f} episodes from seed {first_seed:.0f}, ± 95 %",
         goal="1.05 times the rule-based return, at most 2 % collisions and lane exits together",
         **measured,
@@ -219,10 +219,13 @@ def _default_run(file: Path, facts: Mapping[str, Any], measured: Mapping[str, An
 def _hierarchy(trials: Mapping[Path, Mapping[str, Any]], measured: Mapping[str, Any]) -> Table:
     """`benchmarks.hierarchy`: a row for each variant and seed; only atHRL has an intention to force."""
     rows: list[list[Cell]] = []
+    asked: dict[str, dict[str, None]] = {"variants": {}, "seeds": {}, "decisions": {}}
     for file, facts in trials.items():
         free = _object(file, facts, "free")
         seed, decisions = (_number(file, facts, "", key) for key in ("seed", "decisions"))
         row: list[Cell] = [file.stem.rpartition("-")[0], int(seed), int(decisions)]
+        for known, cell in zip(asked.values(), row, strict=True):
+            known[str(cell)] = None
         row += [_return(file, free, "free"), *_shares(file, free, "free")[:2]]
         if f"forced {_FORCED[0]}" in facts:
             for way in _FORCED:
@@ -234,6 +237,7 @@ def _hierarchy(trials: Mapping[Path, Mapping[str, Any]], measured: Mapping[str, 
         else:
             row += [None] * (len(_FORCED) + 3)
         rows.append(row)
+    options = [f"--{name} {' '.join(values)}" for name, values in asked.items()]
     return Table(
         subject="hierarchy",
         section="Learning",
@@ -245,7 +249,7 @@ def _hierarchy(trials: Mapping[Path, Mapping[str, Any]], measured: Mapping[str, 
             *("left to right: speed, m/s", "waypoint, degrees", "free intention, deviation"),
         ],
         rows=rows,
-        command="python -m benchmarks.hierarchy",
+        command=" ".join(["python -m benchmarks.hierarchy", *options]),
         page="explanation/planners.md",
         **measured,
     )
@@ -254,6 +258,7 @@ def _hierarchy(trials: Mapping[Path, Mapping[str, Any]], measured: Mapping[str, 
 def _peers(file: Path, facts: Mapping[str, Any], measured: Mapping[str, Any]) -> Table:
     """`benchmarks.peers`: everybody who was compared, and the rule-based driver."""
     from benchmarks.peers.chart import TITLES  # only here, as it loads matplotlib
+    from benchmarks.peers.installation import PEER_OF
 
     bar = _number(file, _object(file, facts, "rule_based"), "rule_based", "return_mean")
     rows: list[list[Cell]] = []
@@ -270,6 +275,8 @@ def _peers(file: Path, facts: Mapping[str, Any], measured: Mapping[str, Any]) ->
     minutes = _number(file, facts, "", "seconds") / 60
     episodes, cores, seed = (_number(file, facts, "", key) for key in ("episodes", "cores", "seed"))
     libraries = ", ".join(f"{name} {number}" for name, number in _object(file, facts, "libraries").items())
+    how = facts.get("ours", {}).get("how")
+    others = [library for library, peer in PEER_OF.items() if peer in facts]
     columns = ["planner", "decisions", "seconds", "return", "of rule-based"]
     return Table(
         subject=file.stem,
@@ -279,10 +286,17 @@ def _peers(file: Path, facts: Mapping[str, Any], measured: Mapping[str, Any]) ->
         f"{episodes:.0f} held-out episodes (± 95 %)?",
         columns=[*columns, "collisions", "off lane", "full episodes"],
         rows=rows,
-        command=f"python -m benchmarks.peers --minutes {minutes:g} --cores {cores:.0f} --seed {seed:.0f}",
+        command=f"python -m benchmarks.peers --minutes {minutes:g} --cores {cores:.0f} --seed {seed:.0f}"
+        + (f" --with {','.join(others)}" if others else "")
+        + _set(how.get("settings") if isinstance(how, dict) else None),
         page="peers.md",
         **{"machine": _text(file, facts, "processor"), "notes": [f"{libraries}."], **measured},
     )
+
+
+def _set(settings: object) -> str:
+    """The options `--set` of a command; nothing for what is no list of settings."""
+    return "".join(f" --set {each}" for each in settings) if isinstance(settings, list) else ""
 
 
 def _text(file: Path, facts: Mapping[str, Any], key: str) -> str:

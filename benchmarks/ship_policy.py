@@ -31,7 +31,7 @@ def scored(policy: str, town: str, episodes: int, seed: int) -> dict[str, float]
     """Scores of a policy or driver in a town by `athrl evaluate`."""
     command = [sys.executable, "-m", "athrl", "evaluate", "--policy", policy, "--town", town, "--json"]
     command += ["--episodes", str(episodes), "--seed", str(seed)]
-    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     scores = json.loads(said.splitlines()[-1])
     return {name: round(scores[name], 4) for name in SCORES}
 

@@ -157,12 +157,12 @@ def contestants(shape: str, device: str, precision: torch.dtype) -> list[Contest
 def measured(shape: str, peer: Contestant | None, arguments: argparse.Namespace) -> dict[str, Any]:
     """Measure all contestants in turns on batches of one shape."""
     compared = contestants(shape, arguments.device, arguments.dtype)
-    for each in compared:
-        each.warm_up()
     if peer is not None:
         peer.rates.clear()
         peer.rates_a_core.clear()
         compared.append(peer)
+    for each in compared:
+        each.warm_up()
     for _ in range(arguments.turns):
         for each in compared:
             each.turn(arguments.seconds)

@@ -24,13 +24,12 @@ if [ "$(id -u)" -ne 0 ]; then
     exit 1
 fi
 folder=$(mktemp --directory)
-trap 'rm -rf "$folder"' EXIT
+trap 'rm -rf "$folder" "$folder.log"' EXIT
 # The mirror is debootstrap's own unless DEBIAN_MIRROR names another.
 debootstrap --variant=minbase bookworm "$folder" ${DEBIAN_MIRROR:+"$DEBIAN_MIRROR"} >"$folder.log" 2>&1 || {
     tail -n 20 "$folder.log" >&2
     exit 1
 }
-rm -f "$folder.log"
 rm -rf "$folder"/var/cache/apt/archives/*.deb "$folder"/var/lib/apt/lists/* \
     "$folder"/usr/share/{doc,info,locale,man}/*
 tar --directory "$folder" --numeric-owner --create . |

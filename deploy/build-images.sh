@@ -9,6 +9,13 @@
 # PIP_INDEX_URL, PIP_EXTRA_INDEX_URL, PIP_TRUSTED_HOST, PIP_DEFAULT_TIMEOUT, the proxy variables, and the
 # certificates that PIP_CERT or SSL_CERT_FILE names. BUILD_NETWORK=host builds in this machine's network.
 set -euo pipefail
+bundle=''
+for file in "${PIP_CERT:-}" "${SSL_CERT_FILE:-}"; do # a relative path is one from here
+    if [ -f "$file" ]; then
+        bundle=$(realpath "$file")
+        break
+    fi
+done
 cd "$(dirname "$0")/.."
 
 services=("$@")
@@ -28,13 +35,10 @@ tar --create --exclude-vcs --exclude=__pycache__ --exclude=.venv --exclude='.*_c
 cd "$tree"
 
 certificates=deploy/certificates/builder.pem
-for bundle in "${PIP_CERT:-}" "${SSL_CERT_FILE:-}"; do
-    if [ -f "$bundle" ]; then
-        install --mode=644 "$bundle" "$certificates"
-        touch --date=@0 "$certificates" # the time of a copy is no reason to build a layer again
-        break
-    fi
-done
+if [ -n "$bundle" ]; then
+    install --mode=644 "$bundle" "$certificates"
+    touch --date=@0 "$certificates" # the time of a copy is no reason to build a layer again
+fi
 
 arguments=(--network "${BUILD_NETWORK:-default}")
 for name in PIP_INDEX_URL PIP_EXTRA_INDEX_URL PIP_TRUSTED_HOST PIP_DEFAULT_TIMEOUT \

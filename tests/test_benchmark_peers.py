@@ -154,3 +154,14 @@ def test_only_results_of_the_same_comparison_are_taken_again(tmp_path: Path) -> 
     learned.write(file)
     assert _earlier(file, Comparison()) == learned
     assert _earlier(file, Comparison(seconds=1.0)) is None
+
+
+def test_our_run_is_taken_again_only_with_the_same_settings_and_length() -> None:
+    from benchmarks.peers.__main__ import _as_asked
+    from benchmarks.peers.comparison import Comparison, Learned
+
+    earlier = Learned(Comparison(), [], {"settings": ["learner.batch=64"], "decisions_wanted": 400})
+    assert _as_asked(earlier, ["learner.batch=64"], None)
+    assert _as_asked(earlier, ["learner.batch=64"], 400)
+    assert not _as_asked(earlier, ["learner.batch=64"], 500)
+    assert not _as_asked(earlier, [], None)

@@ -97,6 +97,21 @@ def test_a_file_that_is_no_json_object_is_refused(copy: Path, text: str) -> None
         read_tables(copy)
 
 
+def test_commands_are_those_that_give_these_figures(copy: Path) -> None:
+    damage(copy, "default-run.json", lambda content: content.update(settings=["learner.threads=1"]))
+    how = {"how": {"settings": ["learner.threads=2"]}}
+    peers = PEERS | {"ours": PEERS["ours"] | how, "rllib_ppo": PEERS["sb3_ppo"]}
+    (copy / RESULTS / "peers-5.json").write_text(json.dumps(peers))
+    read = read_tables(copy)
+    assert read["default-run"].command.endswith("--seeds 1 2 3 --set learner.threads=1")
+    assert read["peers-5"].command.endswith("--seed 0 --with rllib --set learner.threads=2")
+    trials = [json.loads(path.read_text()) for path in sorted((copy / RESULTS / "hierarchy").glob("*.json"))]
+    for trial in trials:
+        for option, key in (("variants", "variant"), ("seeds", "seed"), ("decisions", "decisions")):
+            asked = read["hierarchy"].command.partition(f"--{option} ")[2].partition(" --")[0]
+            assert str(trial[key]) in asked.split()
+
+
 def test_a_stale_page_is_told_and_written(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     damage(copy, "traffic.json", lambda content: content["rows"].append(["another", 12345]))
     assert tables.main(["--check"], copy) == 1

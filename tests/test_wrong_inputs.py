@@ -86,6 +86,11 @@ def test_unknown_override_is_named(command) -> None:
     assert_one_line(command.run("train", "--set", "learner.bach=3", seconds=SECONDS), "learner.bach", "batch")
 
 
+def test_port_for_viewers_of_a_serial_run_is_refused(forked) -> None:
+    result = forked.run("train", "--serial", "--viewer-port", "9999", seconds=SECONDS)
+    assert_one_line(result, "a serial run streams nothing to viewers", "leave --viewer-port out")
+
+
 def test_wrong_value_is_named_with_what_is_expected(forked) -> None:
     assert_one_line(
         forked.run("train", "--set", "learner.batch=none", seconds=SECONDS), "learner.batch", "none"
@@ -297,6 +302,7 @@ def test_watching_a_file_that_is_no_recording_is_refused_at_once(forked, tmp_pat
     ("options", "words"),
     [
         (["--page", "9000"], ("--page", "--browser")),
+        (["--bind", "0.0.0.0"], ("--bind 0.0.0.0", "--serve", "--browser")),
         (["--browser", "--page", "9000", "--serve", "9000"], ("--serve 9000", "--page")),
         (["--browser", "--bind", "0.0.0.0"], ("--bind 0.0.0.0", "password", "ssh")),
         (["--browser", "--save", "seen.rrd"], ("--browser", "--save")),

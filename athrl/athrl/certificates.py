@@ -164,18 +164,19 @@ def complete(
 ) -> list[str]:
     """Make missing or soon expiring certificates, and a server's if a required name is not in it.
 
-    Returns the names of the folders made.
+    A server keeps the names that it has unless some are required. Returns the names of the folders made.
     """
-    names = list(hosts)
+    names, wanted = list(hosts), list(required)
     made = []
     if not (folder / AUTHORITY / CERTIFICATE_FILE).exists():
         _write_identity(folder / AUTHORITY, _new_authority())
         made.append(AUTHORITY)
     authority = _load_authority(folder)
     for role in ROLES:
-        lacks = role in SERVERS and not _has_names(folder / role, required)
+        lacks = role in SERVERS and not _has_names(folder / role, wanted)
         if AUTHORITY in made or lacks or _is_due(folder / role, authority):
-            _write_role(folder / role, _new_role(authority, role, names, days), authority)
+            kept = [] if wanted or role not in SERVERS else _present_names(folder / role)
+            _write_role(folder / role, _new_role(authority, role, [*names, *kept], days), authority)
             made.append(role)
     bound = dict.fromkeys([*actors, *_actors_in(folder)])
     for name in bound:
@@ -360,6 +361,11 @@ def _has_names(role_folder: Path, names: Iterable[str]) -> bool:
     wanted = {str(_subject_name(name).value) for name in names}
     path = role_folder / CERTIFICATE_FILE
     return path.exists() and wanted <= set(names_in(path))
+
+
+def _present_names(role_folder: Path) -> list[str]:
+    path = role_folder / CERTIFICATE_FILE
+    return names_in(path) if path.exists() else []
 
 
 def _load_authority(folder: Path) -> Identity:

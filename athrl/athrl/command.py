@@ -56,7 +56,7 @@ SUBCOMMANDS = {
 }
 
 _OF_PATHS = (errno.EACCES, errno.ELOOP, errno.ENAMETOOLONG, errno.EPERM)
-"""Errors of a path, which whoever gave it can correct."""
+"""Errors of a path, which the user can correct."""
 
 _OF_DISKS = (errno.EDQUOT, errno.EFBIG, errno.ENOSPC)
 """Errors of a write, above all of an output that goes into a file."""

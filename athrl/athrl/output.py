@@ -1,4 +1,4 @@
-"""What the command writes: any text in every encoding, and the log of a service on standard error.
+"""What the command writes: any text in every encoding, values as JSON, and the log of a service.
 
 A terminal or a file may take ASCII only (`PYTHONIOENCODING=ascii`, some containers). What the encoding lacks
 is written in other characters there, so that no command fails because of a sign in its output.
@@ -9,8 +9,11 @@ from __future__ import annotations
 import codecs
 import io
 import logging
+import math
 import os
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 from athrl.errors import CommandError
 
@@ -46,6 +49,17 @@ def discard_output() -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
+
+
+def of_json(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values with None for infinite numbers and NaN, which JSON does not have."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return of_json(value)
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return {name: plain(value) for name, value in values.items()}
 
 
 def start_log() -> None:

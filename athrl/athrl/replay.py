@@ -14,6 +14,7 @@ from athrl_spaces.wording import system_reason
 from athrl.errors import CommandError, needs
 from athrl.evaluate import check_town
 from athrl.options import JsonOption
+from athrl.output import of_json
 
 if TYPE_CHECKING:
     from athrl_evaluator.replay import Difference, Verdict
@@ -49,20 +50,13 @@ def replay(
 
 
 def _facts(verdict: Verdict) -> dict[str, object]:
-    """The verdict as values of JSON, which has no infinite number and no NaN."""
+    """The verdict as values of JSON."""
 
     def plain(difference: Difference | None) -> dict[str, object] | None:
-        if difference is None:
-            return None
-        values = {**asdict(difference), "size": difference.size}
-        return {name: value if _is_finite(value) else None for name, value in values.items()}
+        return None if difference is None else of_json({**asdict(difference), "size": difference.size})
 
     facts = {**vars(verdict), "first": plain(verdict.first), "largest": plain(verdict.largest)}
     return {"same": verdict.same, **facts}
-
-
-def _is_finite(value: object) -> bool:
-    return not isinstance(value, float) or abs(value) < float("inf")
 
 
 def _text(verdict: Verdict) -> str:

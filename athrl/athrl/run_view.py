@@ -69,7 +69,7 @@ class RunSnapshot:
     def warnings(self) -> tuple[str, ...]:
         """What the learner counted that should not happen, in a few words each."""
         counts = [(self.learner_metric(name) or 0.0, what) for name, what in WARNINGS.items()]
-        return tuple(f"{what}: {count:,.0f}" for count, what in counts if count)
+        return tuple(f"{what}: {count:,.0f}" for count, what in counts if count > 0)
 
     @property
     def finished(self) -> bool:

@@ -18,6 +18,7 @@ from rich.live import Live
 from athrl.certificate_role import warn_limited_view
 from athrl.errors import CommandError
 from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, JsonOption, LiveRunOption
+from athrl.output import of_json
 from athrl.run_view import RunSnapshot, RunView
 from athrl.service_names import host_name, is_own_name
 from athrl.status_panel import draw
@@ -128,9 +129,9 @@ def facts(snapshot: RunSnapshot) -> dict[str, Any]:
         "silence": snapshot.silence,
         "changes": list(snapshot.changes),
         "warnings": list(snapshot.warnings),
-        "learner": snapshot.of_role("learner").get("learner", {}),
-        "actors": snapshot.of_role("actor"),
-        "evaluators": snapshot.of_role("evaluator"),
+        "learner": of_json(snapshot.of_role("learner").get("learner", {})),
+        "actors": of_json(snapshot.of_role("actor")),
+        "evaluators": of_json(snapshot.of_role("evaluator")),
         "routers": sorted(snapshot.of_role("router")),
-        "evaluations": {driver: asdict(result) for driver, result in snapshot.evaluations.items()},
+        "evaluations": {driver: of_json(asdict(result)) for driver, result in snapshot.evaluations.items()},
     }

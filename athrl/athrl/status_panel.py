@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from athrl_protocol import Phase
 from rich.console import Group, RenderableType
 from rich.panel import Panel
@@ -13,16 +15,19 @@ from athrl.run_view import RunSnapshot
 
 
 def draw(snapshot: RunSnapshot, where_to_look: list[str]) -> RenderableType:
-    """Draw a run; `where_to_look` are lines for the foot of the panel."""
+    """Draw a run; `where_to_look` are lines for the foot of the panel.
+
+    What services said is `Text`, in which brackets are no markup.
+    """
     rows = Table.grid(padding=(0, 2))
     rows.add_column(style="bold", no_wrap=True)
     rows.add_column()
     rows.add_row("environment steps", _progress(snapshot))
-    rows.add_row("learner", _learner(snapshot))
+    rows.add_row("learner", Text(_learner(snapshot)))
     if snapshot.silence:
         rows.add_row("", Text(snapshot.silence, style="yellow"))
     for name, values in snapshot.of_role("actor").items():
-        rows.add_row(f"actor {name}", _actor(snapshot, name, values))
+        rows.add_row(f"actor {name}", Text(_actor(snapshot, name, values)))
     if not snapshot.of_role("actor") and not snapshot.finished:
         rows.add_row("actors", Text("none present", style="yellow"))
     if routers := snapshot.of_role("router"):
@@ -31,7 +36,7 @@ def draw(snapshot: RunSnapshot, where_to_look: list[str]) -> RenderableType:
     if snapshot.warnings:
         rows.add_row("warnings", Text(" · ".join(snapshot.warnings), style="yellow"))
     for line in snapshot.changes[-CHANGES_SHOWN:]:
-        rows.add_row("changed", line)
+        rows.add_row("changed", Text(line))
     foot = [Text(line, style="dim") for line in where_to_look]
     return Panel(Group(rows, *foot), title=f"athrl: run {snapshot.settings.run.name}", title_align="left")
 
@@ -109,16 +114,18 @@ def _actor(snapshot: RunSnapshot, name: str, values: dict[str, float]) -> str:
     )
 
 
-def _evaluations(snapshot: RunSnapshot) -> RenderableType:
+def _evaluations(snapshot: RunSnapshot) -> Text:
     if not snapshot.of_role("evaluator"):
         return Text("none present", style="yellow")
     result = snapshot.evaluations.get("policy")
     if result is None:
-        return "no policy scored yet"
+        return Text("no policy scored yet")
     if snapshot.finished:
         others = [f"{driver} {_mean_return(scores)}" for driver, scores in _reference_scores(snapshot)]
-        return " · ".join(["closing comparison", f"policy {_mean_return(result.scores)}", *others])
-    return f"policy {result.policy_version} of step {result.environment_steps:,}: {_score(result.scores)}"
+        return Text(" · ".join(["closing comparison", f"policy {_mean_return(result.scores)}", *others]))
+    return Text(
+        f"policy {result.policy_version} of step {result.environment_steps:,}: {_score(result.scores)}"
+    )
 
 
 def _reference_scores(snapshot: RunSnapshot) -> list[tuple[str, dict[str, float]]]:
@@ -146,6 +153,8 @@ def _eta(snapshot: RunSnapshot) -> str:
     if state is None or not rate or state.phase is Phase.WARMING_UP:  # a faster phase
         return "-"
     seconds = max(state.environment_steps_target - state.environment_steps, 0) / rate
+    if not math.isfinite(seconds):
+        return "-"
     return f"{int(seconds // 60)}:{int(seconds % 60):02d}"
 
 
@@ -155,11 +164,11 @@ def _mean(services: dict[str, dict[str, float]], name: str) -> float | None:
 
 
 def _number(value: float | None) -> str:
-    if value is None:
+    if value is None or not math.isfinite(value):
         return "-"
     digits = 0 if abs(value) >= 100 or value == int(value) else 1 if abs(value) >= 10 else 2
     return f"{value:,.{digits}f}"
 
 
 def _share(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.0f} %"
+    return "-" if value is None or not math.isfinite(value) else f"{100 * value:.0f} %"

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from athrl_evaluator.watching.viewer import Server
 
 
+LOOPBACK = "127.0.0.1"
+
+
 def watch(
     what: Annotated[
         str | None,
@@ -49,7 +52,7 @@ def watch(
         int | None,
         typer.Option(min=1, max=65534, metavar="PORT", help="Port of --browser's page; by default 9890."),
     ] = None,
-    bind: Annotated[str, typer.Option(help="Address at which --serve and --browser listen.")] = "127.0.0.1",
+    bind: Annotated[str, typer.Option(help="Address at which --serve and --browser listen.")] = LOOPBACK,
     certificates: CertificatesOption = None,
     policy: Annotated[
         str | None,
@@ -83,6 +86,8 @@ def watch(
     """
     if page is not None and not browser:
         raise CommandError("--page is the port of the page that --browser serves: add --browser")
+    if bind != LOOPBACK and serve is None and not browser:
+        raise CommandError(f"--bind {bind} is where --serve and --browser listen: add one of them")
     if policy is not None:
         _require_alone(what, "--browser" if browser else "--serve" if serve is not None else None, save)
         _watch_policy(

@@ -1,6 +1,8 @@
 """The picture of a run shows what is known, and says so where nothing is."""
 
 import io
+import json
+import math
 from dataclasses import replace
 
 from athrl.run_view import RunSnapshot
@@ -108,6 +110,36 @@ def test_picture_shows_the_return_in_each_of_several_towns() -> None:
     snapshot = replace(SNAPSHOT, evaluations={"policy": result})
     for text in (drawn(snapshot), plain_line(snapshot)):
         assert "812 ± 90.5 (town03 900, town02 724)" in text
+
+
+def test_numbers_that_are_none_are_shown_as_unknown_and_are_no_harm_to_json() -> None:
+    numbers = dict.fromkeys(SNAPSHOT.metrics["actor", "one"], math.nan)
+    scores = dict.fromkeys(SCORES, math.inf)
+    learner = {
+        "environment_steps_per_second": math.nan,
+        "updates_per_second": -math.inf,
+        "intake/lost": math.nan,
+    }
+    odd = replace(
+        SNAPSHOT,
+        metrics={("learner", "learner"): learner, ("actor", "one"): numbers},
+        evaluations={"policy": EvaluationResult("policy", 6, 1_400, "town03", 1, scores)},
+        steps_per_second=math.nan,
+    )
+    assert "ETA -" in drawn(odd)
+    assert "return -  speed - m/s" in plain_line(odd)
+    told = json.loads(json.dumps(facts(odd), allow_nan=False))
+    assert told["actors"]["one"]["return_mean"] is None
+    assert told["evaluations"]["policy"]["scores"]["return_mean"] is None
+    assert told["warnings"] == []
+
+
+def test_brackets_in_what_services_say_are_shown_as_they_are() -> None:
+    changes = ("run.folder was /old [/x] [bold] and is /new, from step 7",)
+    state = replace(STATE, waiting="the disk of /data/[a] is full [/b]")
+    text = drawn(replace(SNAPSHOT, changes=changes, state=state))
+    assert changes[0] in text
+    assert state.waiting in text
 
 
 def test_picture_shows_what_was_changed_in_the_settings() -> None:

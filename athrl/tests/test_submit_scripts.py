@@ -149,6 +149,22 @@ def test_job_at_its_time_limit_drains_and_requeues_itself(node: Node, job: str) 
     assert node.calls[-2:] == ["drained", "scontrol requeue 12"]
 
 
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGTERM])
+def test_job_that_is_to_end_between_two_attempts_starts_no_third(node: Node, number: signal.Signals) -> None:
+    node.codes = "1 1 0"
+    started = f"athrl actor --connect {node.folder}/my runs/town03"
+    with node.start("actors") as process:
+        deadline = time.monotonic() + SECONDS
+        while sum(call.startswith(started) for call in node.calls) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        time.sleep(0.5)  # it has ended, and there are three seconds until the next
+        process.send_signal(number)
+        process.communicate(timeout=SECONDS)
+    assert sum(call.startswith(started) for call in node.calls) == 2
+    assert ("scontrol requeue 12" in node.calls) == (number == signal.SIGUSR1)
+
+
 def test_too_short_a_time_limit_does_not_requeue_for_ever(node: Node) -> None:
     node.codes, node.seconds = "wait", 0
     with node.start("actors") as process:

@@ -153,3 +153,18 @@ def running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def test_group_of_a_service_that_has_ended_is_not_killed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    killed: list[int] = []
+    one = service(tmp_path, "pass")
+    supervisor = Supervisor(lambda line: None)
+    supervisor.start(one)
+    watch(supervisor, lambda: one.finished)
+    monkeypatch.setattr("athrl.train.process.os.killpg", lambda group, number: killed.append(group))
+    supervisor.kill()
+    supervisor.end()
+    assert killed == []  # its number may be another process's by now
+    assert one.process.exit_code == 0

@@ -12,8 +12,8 @@ derived from a short run before. The peers' schedules depend on the clock. Nothi
 table has the last policies, and the JSON has all settings.
 
 `--out` gets peers.json, peers.png, curves.csv, a NAME.json for each and the run's folder. With `--resume` an
-existing NAME.json of the same comparison is used instead of measuring again. The last printed line is
-peers.json in one line. The machine should be idle otherwise.
+existing NAME.json of the same comparison, and of ours with the same settings, is used instead of measuring
+again. The last printed line is peers.json in one line. The machine should be idle otherwise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from importlib.metadata import version
@@ -88,7 +88,10 @@ def _measure_all(
     for name in [*arguments.only, *(name for name in pythons if name not in arguments.only)]:
         file = arguments.out / f"{name}.json"
         try:
-            if arguments.resume and (earlier := _earlier(file, comparison)) is not None:
+            earlier = _earlier(file, comparison) if arguments.resume else None
+            if earlier is not None and name == "ours":
+                earlier = earlier if _as_asked(earlier, arguments.set, arguments.ours_steps) else None
+            if earlier is not None:
                 print(f"{TITLES[name]}: as in {file}", flush=True)
                 found[name] = earlier
                 continue
@@ -139,6 +142,12 @@ def _earlier(file: Path, comparison: Comparison) -> Learned | None:
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return earlier if earlier.comparison == comparison else None
+
+
+def _as_asked(earlier: Learned, settings: Sequence[str], steps: int | None) -> bool:
+    """Whether our run had these settings and, where a length is given, was to be as long."""
+    remarks = earlier.remarks
+    return remarks.get("settings") == list(settings) and steps in (None, remarks.get("decisions_wanted"))
 
 
 def _pythons(arguments: argparse.Namespace, stack: ExitStack) -> dict[str, Path]:

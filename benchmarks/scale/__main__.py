@@ -13,6 +13,7 @@ import argparse
 import datetime
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -95,7 +96,11 @@ def main() -> None:
         actors: need(actors, arguments.per_actor, flooded, driven, connected)
         for actors in (arguments.actors, 1000, 10_000)
     }
-    about = {"commit": _commit(), "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}"}
+    about = {
+        "command": shlex.join(["python", "-m", "benchmarks.scale", *sys.argv[1:]]),
+        "commit": _commit(),
+        "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}",
+    }
     load = os.getloadavg()[0]
     if arguments.write:
         tables = (

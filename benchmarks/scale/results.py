@@ -41,7 +41,6 @@ def measured_table(
         "section": _SECTION,
         "title": "Actors in other racks",
         "question": f"What do {driven.actors} actors cost, {delay:g} ms away, {loss:.1%} of packets lost?",
-        "command": "python -m benchmarks.scale --write",
         "machine": f"load {load:.0f}: rates are a lower bound, costs are seconds of a core",
         "page": _PAGE,
         "columns": [
@@ -73,7 +72,6 @@ def plan_table(bounds: Sequence[Row], needs: Mapping[int, Need], per_actor: floa
         "section": _SECTION,
         "title": "What one of each bears",
         "question": "How many decisions a second do one learner, one router and one line bear?",
-        "command": "python -m benchmarks.scale --write",
         "page": _PAGE,
         "columns": ["what", "decisions/s", "because of"],
         "rows": rows,

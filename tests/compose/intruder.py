@@ -29,12 +29,7 @@ def configuration(address: str, folder: Path) -> zenoh.Config:
         "connect/timeout_ms": ATTEMPT_MILLISECONDS,
         "connect/exit_on_failure": True,
     }
-    files = {
-        "root_ca_certificate": "ca.crt",
-        "connect_certificate": "tls.crt",
-        "connect_private_key": "tls.key",
-    }
-    tls = {key: str(folder / name) for key, name in files.items() if (folder / name).exists()}
+    tls = {key: str(folder / name) for key, name in FILES.items() if (folder / name).exists()}
     if tls:
         settings["transport/link/tls"] = {"enable_mtls": "connect_certificate" in tls, **tls}
     configuration = zenoh.Config()

@@ -16,7 +16,12 @@ NAMESPACE, TOKEN = "athrl", "a token"
 
 
 class ClusterApi:
-    """Secrets by their names, each with its files in base64; `port` is where it listens."""
+    """Secrets by their names, each with its files in base64; `port` is where it listens.
+
+    With `breaks_off` it ends each connection in the middle of its answer.
+    """
+
+    breaks_off = False
 
     def __init__(self, folder: Path, names: list[str], host: str) -> None:
         """Writes what a pod's service account finds into `folder`/account; `host` is how pods reach this."""
@@ -34,7 +39,7 @@ class ClusterApi:
         self.port = int(self._server.server_address[1])
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:
-        secrets = self.secrets
+        secrets, api = self.secrets, self
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
@@ -54,7 +59,7 @@ class ClusterApi:
                     secrets[name] |= change["data"]
                 body = json.dumps({"data": secrets[name]} if secrets[name] else {}).encode()
                 self.send_response(200)
-                self.send_header("Content-Length", str(len(body)))
+                self.send_header("Content-Length", str(len(body) + api.breaks_off))
                 self.end_headers()
                 self.wfile.write(body)
 

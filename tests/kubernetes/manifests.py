@@ -62,6 +62,7 @@ class Overlay:
     """The objects of an overlay."""
 
     def __init__(self, name: str) -> None:
+        self.name = name
         self.objects: list[Object] = list(yaml.safe_load_all(rendered(name)))
 
     def of(self, kind: str) -> dict[str, Object]:

@@ -73,5 +73,13 @@ def test_a_secret_that_is_not_there_is_named_in_one_line(api: ClusterApi, tmp_pa
     assert "403 Forbidden" in line
 
 
+def test_an_answer_that_breaks_off_is_told_in_one_line(api: ClusterApi, tmp_path: Path) -> None:
+    api.breaks_off = True
+    result = job(api, tmp_path / "first")
+    assert result.returncode == 1
+    (line,) = result.stderr.splitlines()
+    assert "the cluster's API does not answer at https://127.0.0.1" in line
+
+
 def certificate(api: ClusterApi, role: str) -> x509.Certificate:
     return x509.load_pem_x509_certificate(base64.b64decode(api.secrets[f"certificate-{role}"]["tls.crt"]))

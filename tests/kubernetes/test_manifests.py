@@ -9,6 +9,8 @@ from typing import Any
 import kubernetes_validate
 import pytest
 import yaml
+from athrl.services import CHECKPOINT_SECONDS, DRAIN_SECONDS
+from athrl.stopping import STOP_SECONDS
 from athrl_protocol.run_file import read_run_file
 
 from tests.kubernetes import custom_resources
@@ -17,6 +19,10 @@ from tests.kubernetes.manifests import COMPONENT, OVERLAYS, ROOT, Overlay
 VERSION = "1.37"
 GIBIBYTES = {"Ki": 1 / 1024**2, "Mi": 1 / 1024, "Gi": 1.0}
 SERVICES = ("learner", "actor", "evaluator", "viewer", "tensorboard")
+
+STOPPING = {"learner": CHECKPOINT_SECONDS, "actor": DRAIN_SECONDS, "evaluator": DRAIN_SECONDS,
+            "viewer": STOP_SECONDS, "router": STOP_SECONDS}  # fmt: skip
+"""Within which a service that is asked to end has ended."""
 
 every_overlay = pytest.mark.parametrize("overlay", OVERLAYS, indirect=True)
 
@@ -126,9 +132,21 @@ def test_service_is_told_and_given_what_compose_gives_it(overlay: Overlay, servi
 
 
 @every_overlay
-def test_a_learner_that_drains_is_not_cut_short(overlay: Overlay) -> None:
-    grace = overlay.pods()["learner"].spec["terminationGracePeriodSeconds"]
-    assert grace == int(compose()["learner"]["stop_grace_period"].removesuffix("s"))
+def test_a_service_that_drains_is_not_cut_short(overlay: Overlay) -> None:
+    composed = compose()
+    for name in {*STOPPING} & {*overlay.pods()}:
+        assert seconds(composed[name]["stop_grace_period"]) > STOPPING[name], name
+        grace = overlay.pods()[name].spec["terminationGracePeriodSeconds"]
+        if (overlay.name, name) != ("spot", "actor"):  # whose node is taken away before
+            assert grace == seconds(composed[name]["stop_grace_period"]), name
+
+
+@every_overlay
+def test_a_learner_has_as_long_as_in_containers_to_read_its_log(overlay: Overlay) -> None:
+    probe = overlay.pods()["learner"].main["startupProbe"]
+    image = (ROOT / "deploy" / "Dockerfile").read_text().partition("AS learner\n")[2]
+    (started,) = re.findall(r"--start-period=(\d+)s", image)
+    assert probe["periodSeconds"] * probe["failureThreshold"] == int(started)
 
 
 @pytest.mark.parametrize("overlay", [name for name in OVERLAYS if name != "cert-manager"], indirect=True)
@@ -195,6 +213,11 @@ def compose() -> dict[str, Any]:
             found = re.search(r":-(\w+)}", str(service.get(each, "")))
             service[each] = found[1] if found else service.get(each)
     return services
+
+
+def seconds(text: str) -> float:
+    """A time as Compose writes it: 40s."""
+    return float(text.removesuffix("s"))
 
 
 def gibibytes(text: str) -> float:

@@ -18,6 +18,7 @@ from tests.monitoring.files import (
     ROOT,
     alerts,
     dashboard,
+    dashboard_queries,
     exposed_names,
     measured_by,
     names_in,
@@ -66,6 +67,13 @@ def test_panels_lie_beside_each_other_with_a_title_and_a_description() -> None:
     assert all(panel["description"] for panel in panels())
     ids = [panel["id"] for panel in dashboard()["panels"]]
     assert len(set(ids)) == len(ids)
+
+
+def test_scores_that_two_endpoints_show_are_one_curve() -> None:
+    """The learner's and the evaluator's; a target of its own is among the labels of each."""
+    queries = [query for query in dashboard_queries("r") if "athrl_evaluation_" in query]
+    assert queries
+    assert [query for query in queries if not query.startswith("max by (driver, town) (")] == []
 
 
 def test_prometheus_and_grafana_find_what_compose_starts() -> None:

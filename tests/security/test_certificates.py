@@ -84,6 +84,17 @@ def test_servers_get_a_name_that_they_lack(tmp_path: Path) -> None:
     assert certificates.complete(tmp_path, ["new.example"], 365, required=["new.example"]) == [*SERVERS]
 
 
+def test_servers_that_are_renewed_in_time_keep_their_names_unless_some_are_given(tmp_path: Path) -> None:
+    certificates.make_all(tmp_path, ["learner.example", "::1"], days=365)
+    (tmp_path / "learner" / "tls.key").unlink()
+    assert certificates.complete(tmp_path, ["localhost"], days=365) == ["learner"]
+    names = certificates.names_in(tmp_path / "learner" / "tls.crt")
+    assert names == ["localhost", "learner.example", "::1", "learner"]
+    (tmp_path / "learner" / "tls.key").unlink()
+    assert certificates.complete(tmp_path, ["new.example"], 365, required=iter(["new.example"])) == [*SERVERS]
+    assert certificates.names_in(tmp_path / "learner" / "tls.crt") == ["new.example", "learner"]
+
+
 def test_renewal_changes_one_role_and_keeps_authority_and_names(tmp_path: Path) -> None:
     certificates.make_all(tmp_path, ["learner.example", "::1"], days=365)
     before = contents(tmp_path)

@@ -17,8 +17,10 @@ serve() {
     for attempt in 1 2 3 4; do
         [ -z "$stopping" ] || return
         [ "$attempt" = 1 ] || { echo "athrl: ended with code $code; restarting it" >&2; sleep "$attempt"; }
+        [ -z "$stopping" ] || return  # it was asked to end meanwhile
         "$@" &
         service=$!
+        [ -z "$stopping" ] || kill -TERM "$service" 2>/dev/null  # or just now, when the trap did not know it
         wait "$service"
         while kill -0 "$service" 2>/dev/null; do wait "$service"; done  # a trap ends a wait
         wait "$service"

@@ -110,7 +110,7 @@ def train(
     runs.declare_installed_planners()
     given = [*overrides(settings), *(["serial.enabled=true"] if serial else [])]
     plan = _plan(run_file, given, name, resume)
-    _require_fitting(plan, actors, stop_at)
+    _require_fitting(plan, actors, viewer_port, stop_at)
     if _said_finished(plan):
         return
     require_world(plan.settings.environment)
@@ -166,11 +166,13 @@ def _to_continue(plan: Plan, actors: int | None = None, viewer_port: int = VIEWE
     return shlex.join(words if kept or not folder else [*words, "--certificates", folder])
 
 
-def _require_fitting(plan: Plan, actors: int | None, stop_at: int | None) -> None:
+def _require_fitting(plan: Plan, actors: int | None, viewer_port: int, stop_at: int | None) -> None:
     """Refuse options that do not fit the kind of run, and resuming a run as another kind."""
     serial = plan.settings.serial.enabled
     if serial and actors is not None:
         raise CommandError("a serial run has one actor, in its own process: leave --actors out")
+    if serial and viewer_port not in (0, VIEWER_PORT):
+        raise CommandError("a serial run streams nothing to viewers: leave --viewer-port out")
     if not serial and stop_at is not None:
         raise CommandError("--stop-at is for serial runs: add --serial, or stop the run with Ctrl-C")
     if not plan.resume:

@@ -43,6 +43,7 @@ class ServiceProcess:
     started_at: float = field(default=0.0, init=False)
     _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
     _log_start: int = field(default=0, init=False)
+    _ended: subprocess.Popen[bytes] | None = field(default=None, init=False)
 
     def start(self, extra_arguments: list[str] | None = None) -> None:
         """Start the process; its output is appended to its log.
@@ -102,8 +103,11 @@ class ServiceProcess:
         return True
 
     def kill(self) -> None:
-        """End the process and its child processes, without waiting."""
-        if self._process is not None:
+        """End the process and its child processes, without waiting.
+
+        Nothing after `end`: by then another process may have their number.
+        """
+        if self._process is not None and self._process is not self._ended:
             with contextlib.suppress(ProcessLookupError):  # the group has ended with its last process
                 os.killpg(self._process.pid, signal.SIGKILL)
 
@@ -122,6 +126,7 @@ class ServiceProcess:
             raise CommandError(
                 f"{self.name} was killed and still runs after {END_SECONDS:g} s: does a disk not answer?"
             )
+        self._ended = self._process
 
     def last_lines(self, count: int = 5) -> list[str]:
         """Return the last lines that the newest process wrote."""

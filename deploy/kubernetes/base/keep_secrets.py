@@ -16,9 +16,10 @@ import os
 import ssl
 import subprocess
 import sys
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any
-from urllib.error import HTTPError, URLError
+from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 ROLES = ("authority", "learner", "actor", "evaluator", "viewer", "router")
@@ -58,8 +59,9 @@ class Secrets:
                 return json.load(answer)
         except HTTPError as error:
             sys.exit(f"keep_secrets.py: the secret {name}: {method} was refused, {error.code} {error.reason}")
-        except URLError as error:
-            sys.exit(f"keep_secrets.py: the cluster's API does not answer at {self._address}: {error.reason}")
+        except (OSError, HTTPException, ValueError) as error:  # also while the answer arrives, or by no JSON
+            why = getattr(error, "reason", error)
+            sys.exit(f"keep_secrets.py: the cluster's API does not answer at {self._address}: {why}")
 
 
 def main() -> None:

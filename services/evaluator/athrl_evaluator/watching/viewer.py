@@ -7,6 +7,7 @@ not send its last frames and would report errors. It never outlives this process
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import ipaddress
@@ -16,7 +17,6 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -74,7 +74,7 @@ class Server(NamedTuple):
         return f"{page.rstrip('/')}/?url={quote(frames, safe=':/')}"
 
 
-@contextmanager
+@contextlib.contextmanager
 def server_process(server: Server) -> Iterator[subprocess.Popen]:
     """A rerun server without a window.
 
@@ -94,7 +94,7 @@ def server_process(server: Server) -> Iterator[subprocess.Popen]:
         yield process
 
 
-@contextmanager
+@contextlib.contextmanager
 def viewer_process(port: int) -> Iterator[subprocess.Popen]:
     """A viewer with a window, which listens at loopback; raises ProtocolError without a screen."""
     require_screen()
@@ -132,7 +132,7 @@ def free_port() -> int:
 
 
 def _require_guarded(bind: str) -> None:
-    """Raise ProtocolError for a page that whoever reaches this machine could open, unless that is wanted."""
+    """Raise ProtocolError for a page that other machines could open, unless that is wanted."""
     if not _ip_address(bind).is_loopback and not os.environ.get(PAGE_VARIABLE):
         raise ProtocolError(
             f"--bind {bind}: the page has neither encryption nor a password, it should be at 127.0.0.1 and "
@@ -140,7 +140,7 @@ def _require_guarded(bind: str) -> None:
         )
 
 
-@contextmanager
+@contextlib.contextmanager
 def _process(bind: str, ports: Sequence[int], options: list[str]) -> Iterator[subprocess.Popen]:
     for port in ports:
         _check_free(bind, port)
@@ -164,7 +164,8 @@ def _process(bind: str, ports: Sequence[int], options: list[str]) -> Iterator[su
             process.wait(timeout=END_SECONDS)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.wait()
+            with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel waits for a device in its place
+                process.wait(timeout=END_SECONDS)
 
 
 def _end_with_parent() -> None:
