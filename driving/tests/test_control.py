@@ -81,6 +81,12 @@ def test_speeds_have_the_same_unit() -> None:
     assert controller.acceleration(5.0, 6.0, 0.1) == pytest.approx(0.7 + 0.005 / 0.1 + 0.001 * 0.1)
 
 
+def test_a_higher_gain_brakes_harder_at_low_speed() -> None:
+    mild, firm = WaypointController(), WaypointController(speed_gain=2.0)
+    assert mild.acceleration(1.0, 0.0, 0.1) == pytest.approx(-0.7, abs=0.001)
+    assert firm.acceleration(1.0, 0.0, 0.1) == pytest.approx(-2.0, abs=0.001)
+
+
 def test_acceleration_keeps_to_its_limit() -> None:
     assert WaypointController().acceleration(0.0, 8.0, 0.1) == MAXIMUM_ACCELERATION
     assert WaypointController().acceleration(8.0, 0.0, 0.1) == -MAXIMUM_ACCELERATION

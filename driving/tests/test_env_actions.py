@@ -11,6 +11,7 @@ from athrl_driving.control import WHEEL_ANGLE_PER_STEERING
 from athrl_driving.drivers import DRIVERS, make_driver
 from athrl_driving.envs import DirectAction, TownEnv, TownVectorEnv, WaypointAction, WaypointSetAction
 from athrl_driving.envs.settings import ACTION_KIND_OF_TYPE
+from athrl_driving.traffic.ego_columns import SPEED
 from athrl_spaces import ACTION_KINDS, Continuous, Discrete, Limits
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
@@ -76,6 +77,21 @@ def test_a_choice_drives_as_the_same_waypoint_does() -> None:
             observation = chosen.step(np.array([1, waypoint]))[0]
             expected = given.step(given.action_type.normalised(3.975, angle))[0]
             np.testing.assert_allclose(observation["motion"], expected["motion"], atol=1e-6)
+
+
+@pytest.mark.parametrize("gain", [0.7, 2.0])
+def test_target_speed_is_approached_with_the_gain_of_the_settings(gain: float) -> None:
+    """A car that stands and should drive 1 m/s accelerates by as many m/s2 as the gain is, in every form."""
+    action = np.float32([2.0 * 1.0 / 7.95 - 1.0, 0.0])
+    env = new_env("WaypointAction", speed_gain=gain, ticks_per_decision=1)
+    env.step(action)
+    assert env.vehicle.action["acceleration"] == pytest.approx(gain, abs=1e-3)
+    assert env.vehicle.controller.speed_loop.proportional == gain
+    vector = TownVectorEnv(1, config={**QUIET, "speed_gain": gain, "ticks_per_decision": 1})
+    vector.reset(seed=2)
+    vector.step(action[None])
+    assert vector.episodes.state.progress.ego[0, SPEED] == pytest.approx(0.1 * gain, abs=1e-3)
+    vector.close()
 
 
 def test_acceleration_and_steering_hold_for_the_whole_decision() -> None:

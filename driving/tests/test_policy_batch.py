@@ -25,6 +25,7 @@ CONFIG = environment_config(
     maximum_speed=7.95,
     waypoint_radius=8.0,
     waypoint_half_angle=30.0,
+    speed_gain=0.7,
 )
 
 
@@ -88,6 +89,7 @@ def test_bounds_of_settings_are_those_that_run_files_share(name: str):
     plain = {
         "strict_map": False, "vehicles": 10, "image_size": 32, "episode_ticks": 20, "ticks_per_decision": 4,
         "maximum_speed": 7.95, "waypoint_radius": 8.0, "waypoint_half_angle": 30.0,
+        "speed_gain": 0.7,
     }  # fmt: skip
     defaults = TownEnv.default_config()
     for value in (low, high):

@@ -41,11 +41,13 @@ class Limits:
         maximum_speed: highest target speed, m/s.
         waypoint_radius: distance of the waypoint, m.
         waypoint_half_angle: angle of the outermost waypoints from straight ahead, rad.
+        speed_gain: acceleration towards the target speed for each m/s that is missing, 1/s.
     """
 
     maximum_speed: float = 7.95
     waypoint_radius: float = 8.0
     waypoint_half_angle: float = math.pi / 6
+    speed_gain: float = 0.7
 
 
 @dataclass(frozen=True)

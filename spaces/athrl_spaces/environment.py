@@ -10,5 +10,6 @@ BOUNDS: dict[str, tuple[type, float, float]] = {
     "maximum_speed": (float, 0.1, 40.0),
     "waypoint_radius": (float, 1.0, 100.0),
     "waypoint_half_angle": (float, 1.0, 90.0),
+    "speed_gain": (float, 0.05, 10.0),
 }
-"""Type, lowest and highest value by name: vehicles, pixels, ticks, ticks, m/s, m, degrees."""
+"""Type, lowest and highest value by name: vehicles, pixels, ticks, ticks, m/s, m, degrees, 1/s."""

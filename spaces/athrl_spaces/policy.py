@@ -206,7 +206,9 @@ def _plain(document: dict[str, Any], description: PolicyDescription) -> dict[str
 
 
 def _limits(document: Mapping[str, Any]) -> Limits:
-    names = ("maximum_speed", "waypoint_radius", "waypoint_half_angle")
+    names = ["maximum_speed", "waypoint_radius", "waypoint_half_angle"]
+    if "speed_gain" in document:  # older files have none, and were made for the default
+        names.append("speed_gain")
     values = {name: _number(document, name) for name in names}
     for name, value in values.items():
         if not value > 0:

@@ -19,7 +19,7 @@ WHEEL_ANGLE_PER_STEERING = math.radians(70.0)
 """Angle of the front wheels for a steering command of 1, rad; the limit of 0.3 is 21 degrees."""
 
 PROPORTIONAL, DERIVATIVE, INTEGRAL = 0.7, 0.005, 0.001
-"""Gains of both loops, as in the authors' release."""
+"""Gains of both loops, as in the authors' release; the speed loop's proportional one is a setting."""
 
 
 @compiled
@@ -32,11 +32,14 @@ def angle_to(x: float, y: float, heading: float, target_x: float, target_y: floa
 
 @compiled
 def acceleration_command(
-    memory: NDArray[np.float64], speed: float, target_speed: float, interval: float
+    memory: NDArray[np.float64], speed: float, target_speed: float, gain: float, interval: float
 ) -> float:
-    """Acceleration towards the target speed, m/s2; `memory` float64 [2] is the speed loop's."""
+    """Acceleration towards the target speed, m/s2.
+
+    `memory` float64 [2] is the speed loop's, `gain` its proportional gain, 1/s.
+    """
     error = target_speed - speed
-    return pid_step(memory, PROPORTIONAL, DERIVATIVE, INTEGRAL, MAXIMUM_ACCELERATION, error, interval)
+    return pid_step(memory, gain, DERIVATIVE, INTEGRAL, MAXIMUM_ACCELERATION, error, interval)
 
 
 @compiled
@@ -68,17 +71,19 @@ def angle_in_frame(x: float, y: float, heading: float, target: tuple[float, floa
 class WaypointController:
     """Speed and steering loop; both keep their memory from tick to tick and from decision to decision.
 
-    `speed_memory` and `steering_memory`, float64 [2], are their memories.
+    `speed_memory` and `steering_memory`, float64 [2], are their memories, `speed_gain` is the proportional
+    gain of the speed loop, 1/s.
     """
 
     def __init__(
         self,
         speed_memory: NDArray[np.float64] | None = None,
         steering_memory: NDArray[np.float64] | None = None,
+        speed_gain: float = PROPORTIONAL,
     ) -> None:
-        gains = (PROPORTIONAL, DERIVATIVE, INTEGRAL)
-        self.speed_loop = Pid(*gains, limit=MAXIMUM_ACCELERATION, memory=speed_memory)
-        self.steering_loop = Pid(*gains, limit=MAXIMUM_STEERING, memory=steering_memory)
+        rest = (DERIVATIVE, INTEGRAL)
+        self.speed_loop = Pid(speed_gain, *rest, limit=MAXIMUM_ACCELERATION, memory=speed_memory)
+        self.steering_loop = Pid(PROPORTIONAL, *rest, limit=MAXIMUM_STEERING, memory=steering_memory)
 
     def reset(self) -> None:
         """Begin an episode."""
@@ -87,7 +92,10 @@ class WaypointController:
 
     def acceleration(self, speed: float, target_speed: float, interval: float) -> float:
         """Acceleration towards the target speed, m/s2; both speeds in m/s."""
-        return acceleration_command(self.speed_loop.memory, float(speed), float(target_speed), interval)
+        loop = self.speed_loop
+        return acceleration_command(
+            loop.memory, float(speed), float(target_speed), loop.proportional, interval
+        )
 
     def steering(
         self, x: float, y: float, heading: float, waypoint: tuple[float, float], interval: float

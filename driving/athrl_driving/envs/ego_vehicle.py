@@ -12,6 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from athrl_driving.control import WaypointController
+from athrl_driving.control.waypoint import PROPORTIONAL
 from athrl_driving.episode.ego import (
     ACCELERATION,
     CONTROL_SIZE,
@@ -70,11 +71,13 @@ class EgoVehicle(Vehicle):
         ego: NDArray[np.float64],
         control: NDArray[np.float64],
         collision: NDArray[np.int64],
+        *,
         tick: float,
+        speed_gain: float,
     ) -> EgoVehicle:
-        """Make the ego that these arrays describe."""
+        """Make the ego that these arrays describe; `tick` in s, `speed_gain` of its speed loop in 1/s."""
         vehicle = cls.__new__(cls)
-        vehicle._take(road, ego, control, collision, "constant_steering")
+        vehicle._take(road, ego, control, collision, "constant_steering", speed_gain)
         vehicle.tick = tick
         return vehicle
 
@@ -85,6 +88,7 @@ class EgoVehicle(Vehicle):
         control: NDArray[np.float64],
         collision: NDArray[np.int64],
         prediction_type: str,
+        speed_gain: float = PROPORTIONAL,
     ) -> None:
         self._ego, self._control, self._collision = ego, control, collision
         state = ego.copy(), control.copy(), collision.copy()
@@ -94,7 +98,9 @@ class EgoVehicle(Vehicle):
         self.road = road
         self.color = VehicleGraphics.EGO_COLOR
         self.controller = WaypointController(
-            control[SPEED_MEMORY : SPEED_MEMORY + 2], control[STEERING_MEMORY : STEERING_MEMORY + 2]
+            control[SPEED_MEMORY : SPEED_MEMORY + 2],
+            control[STEERING_MEMORY : STEERING_MEMORY + 2],
+            speed_gain,
         )
         self.tick = 0.1
 
@@ -185,7 +191,7 @@ class EgoVehicle(Vehicle):
         if action is not None:
             super().act(action)
         else:
-            control_ego(self._ego, self._control, self.tick)
+            control_ego(self._ego, self._control, self.controller.speed_loop.proportional, self.tick)
 
     def step(self, dt: float) -> None:
         """Move for `dt` seconds."""

@@ -23,9 +23,14 @@ class EpisodeRoad(TrafficRoad):
     def __init__(self, episodes: Episodes, env_index: int, record_history: bool = False) -> None:
         self._episodes = episodes
         super().__init__(episodes.town, episodes.state.traffic, env_index, record_history=record_history)
-        state, interval, e = episodes.state.progress, episodes.state.settings.interval, env_index
+        state, settings, e = episodes.state.progress, episodes.state.settings, env_index
         ego = EgoVehicle.of_episode(
-            self, state.ego[e], state.control[e], state.collision[e : e + 1], interval
+            self,
+            state.ego[e],
+            state.control[e],
+            state.collision[e : e + 1],
+            tick=settings.interval,
+            speed_gain=settings.speed_gain,
         )
         background = [BackgroundVehicle(self, vehicle) for vehicle in range(self.background.x.size)]
         self.vehicles = [ego, *background]

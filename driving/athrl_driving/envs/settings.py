@@ -51,6 +51,7 @@ DEFAULTS: dict[str, Any] = {
     "maximum_speed": _LIMITS.maximum_speed,  # [m/s] highest target speed; above 8 m/s every tick costs
     "waypoint_radius": _LIMITS.waypoint_radius,  # [m]
     "waypoint_half_angle": _LIMITS.waypoint_half_angle,  # [rad]
+    "speed_gain": _LIMITS.speed_gain,  # [1/s] acceleration for each m/s that is missing to the target speed
     "screen_width": 600,  # [px]
     "screen_height": 600,  # [px]
     "centering_position": [0.5, 0.5],
@@ -73,7 +74,14 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
     "simulation_frequency": (float, 1, 1000),
     **{
         name: BOUNDS[name]
-        for name in ("image_size", "episode_ticks", "ticks_per_decision", "maximum_speed", "waypoint_radius")
+        for name in (
+            "image_size",
+            "episode_ticks",
+            "ticks_per_decision",
+            "maximum_speed",
+            "waypoint_radius",
+            "speed_gain",
+        )
     },
     "waypoint_half_angle": (
         float,
@@ -258,6 +266,7 @@ def drive_settings(config: Mapping[str, Any]) -> DriveSettings:
         maximum_speed=float(config["maximum_speed"]),
         waypoint_radius=float(config["waypoint_radius"]),
         waypoint_half_angle=float(config["waypoint_half_angle"]),
+        speed_gain=float(config["speed_gain"]),
         action_kind=KIND_NUMBERS[ACTION_KIND_OF_TYPE[config["action"]["type"]]],
     )
 

@@ -47,8 +47,11 @@ def place_ego(ego: Floats, control: Floats, x: float, y: float, heading: float, 
 
 
 @compiled
-def control_ego(ego: Floats, control: Floats, interval: float) -> None:
-    """Run both controllers for one tick of `interval` seconds; without a target the last commands hold."""
+def control_ego(ego: Floats, control: Floats, speed_gain: float, interval: float) -> None:
+    """Run both controllers for one tick of `interval` seconds; without a target the last commands hold.
+
+    `speed_gain` is the speed loop's, 1/s.
+    """
     if math.isnan(control[TARGET_SPEED]):
         return
     control[STEERING] = steering_command(
@@ -57,7 +60,7 @@ def control_ego(ego: Floats, control: Floats, interval: float) -> None:
     )  # fmt: skip
     control[WHEEL_ANGLE] = control[STEERING] * WHEEL_ANGLE_PER_STEERING
     control[ACCELERATION] = acceleration_command(
-        control[SPEED_MEMORY : SPEED_MEMORY + 2], ego[SPEED], control[TARGET_SPEED], interval
+        control[SPEED_MEMORY : SPEED_MEMORY + 2], ego[SPEED], control[TARGET_SPEED], speed_gain, interval
     )
 
 

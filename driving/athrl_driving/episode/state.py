@@ -39,6 +39,8 @@ class DriveSettings(NamedTuple):
     """Distance of the waypoint, m."""
     waypoint_half_angle: float
     """Angle of the outermost waypoints, rad."""
+    speed_gain: float
+    """Acceleration towards the target speed for each m/s that is missing, 1/s."""
     action_kind: int
     """Number of the kind of action, its place in `athrl_spaces.ACTION_KINDS`."""
 

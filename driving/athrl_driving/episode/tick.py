@@ -29,7 +29,7 @@ def tick(views: Views, settings: DriveSettings, progress: Progress, e: int) -> N
     traffic, route, graph, interval = views.traffic, views.route, views.traffic.graph, settings.interval
     ego, control, path = progress.ego[e], progress.control[e], progress.path[e]
     position = route.position[0]
-    control_ego(ego, control, interval)
+    control_ego(ego, control, settings.speed_gain, interval)
     advance(traffic, ego, path, interval)
     vehicles = traffic.background.x.shape[0]  # the ego comes after them
     line = float(traffic.right_of_way.line_distance[vehicles])

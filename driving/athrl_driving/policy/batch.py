@@ -32,6 +32,7 @@ def environment_config(
     maximum_speed: float,
     waypoint_radius: float,
     waypoint_half_angle: float,
+    speed_gain: float,
 ) -> dict[str, Any]:
     """Return a town environment's config from plain settings; `waypoint_half_angle` is in degrees."""
     return {
@@ -43,6 +44,7 @@ def environment_config(
         "maximum_speed": maximum_speed,
         "waypoint_radius": waypoint_radius,
         "waypoint_half_angle": math.radians(waypoint_half_angle),
+        "speed_gain": speed_gain,
     }
 
 
@@ -54,6 +56,7 @@ def config_of(description: PolicyDescription) -> dict[str, Any]:
         "maximum_speed": limits.maximum_speed,
         "waypoint_radius": limits.waypoint_radius,
         "waypoint_half_angle": limits.waypoint_half_angle,
+        "speed_gain": limits.speed_gain,
         "action": action_setting(description.action_kind),
     }
 

@@ -95,6 +95,12 @@ class EnvironmentSection(Section):
         30.0,
         "Largest angle of the waypoint from straight ahead, degrees.",
     )
+    speed_gain: float = _bounded(
+        "speed_gain",
+        0.7,
+        "Acceleration towards the target speed for each m/s that is missing, 1/s; of planners that decide a "
+        "waypoint.",
+    )
 
 
 class ExplorationSection(Section):

@@ -107,17 +107,25 @@ def test_a_policy_that_is_published_just_now_is_waited_for(artefact: bytes, tmp_
 
 def test_a_policy_drives_with_the_ranges_that_it_was_trained_for(artefact: bytes):
     changed = {"maximum_speed": 20.0, "waypoint_half_angle": 80.0, "waypoint_radius": 5.0, "image_size": 64}
+    changed |= {"speed_gain": 3.0}
     other = EnvironmentSection(**changed, vehicles=7)
     fitted = environment_for(OnnxPolicy(artefact).description, other)
     assert (fitted.image_size, fitted.vehicles) == (32, 7)
     assert fitted.maximum_speed == pytest.approx(7.95)
     assert fitted.waypoint_radius == 8.0
+    assert fitted.speed_gain == 0.7
     assert math.radians(fitted.waypoint_half_angle) == pytest.approx(math.pi / 6)
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("image_size", 64), ("maximum_speed", 5.0), ("waypoint_half_angle", 45.0), ("waypoint_radius", 4.0)],
+    [
+        ("image_size", 64),
+        ("maximum_speed", 5.0),
+        ("waypoint_half_angle", 45.0),
+        ("waypoint_radius", 4.0),
+        ("speed_gain", 1.0),
+    ],
 )
 def test_a_setting_that_a_policy_was_not_made_for_is_refused_by_its_name(
     artefact: bytes, key: str, value: float

@@ -35,6 +35,7 @@ def limits(run_file: RunFile) -> Limits:
         maximum_speed=environment.maximum_speed,
         waypoint_radius=environment.waypoint_radius,
         waypoint_half_angle=math.radians(environment.waypoint_half_angle),
+        speed_gain=environment.speed_gain,
     )
 
 

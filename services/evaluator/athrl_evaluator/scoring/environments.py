@@ -126,4 +126,5 @@ def _fixed_by_policy(description: PolicyDescription) -> dict[str, Any]:
         "maximum_speed": limits.maximum_speed,
         "waypoint_radius": limits.waypoint_radius,
         "waypoint_half_angle": math.degrees(limits.waypoint_half_angle),
+        "speed_gain": limits.speed_gain,
     }
