@@ -260,7 +260,7 @@ def test_address_that_is_not_in_the_learners_certificate_is_named(sessions, port
     sessions.enter_context(
         open_session(listen=f"127.0.0.1:{port}", timeout=PATIENCE, run="guarded", certificates=ours)
     )
-    with pytest.raises(NotAdmitted, match=r"127\.0\.0\.1.*not good"):
+    with pytest.raises(NotAdmitted, match=r"127\.0\.0\.1.*not accepted"):
         open_session(connect=f"127.0.0.1:{port}", timeout=PATIENCE, role="viewer", certificates=ours)
 
 

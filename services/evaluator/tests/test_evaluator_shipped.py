@@ -56,7 +56,7 @@ def test_name_cannot_lead_out_of_the_folder(folder: Path, name: str) -> None:
 def test_policy_that_is_not_the_cards_is_refused(folder: Path) -> None:
     file = shipped.shipped_policy("town03")
     file.write_bytes(file.read_bytes()[:-1])
-    with pytest.raises(InvalidPolicy, match=r"town03\.onnx is not the policy of which town03\.json"):
+    with pytest.raises(InvalidPolicy, match=r"town03\.onnx is not the policy that town03\.json"):
         load_policy(file)
 
 
