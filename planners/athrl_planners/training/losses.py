@@ -103,8 +103,9 @@ def actor_losses(
 
 
 def weighted_sum(values: Tensor, weights: Tensor) -> Tensor:
-    """The sum of values [n] by their weights [n]: []. A product of vectors would be rounded to bfloat16."""
-    return (values * weights).sum()
+    """The sum of values [n] by their weights [n]: float32 [], which autocast would round to bfloat16."""
+    with torch.autocast(values.device.type, enabled=False):
+        return values.float() @ weights
 
 
 @torch.no_grad()
