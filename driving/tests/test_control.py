@@ -78,11 +78,11 @@ def test_a_waypoint_behind_has_no_effect() -> None:
 def test_speeds_have_the_same_unit() -> None:
     controller = WaypointController()
     assert controller.acceleration(5.0, 5.0, 0.1) == 0.0
-    assert controller.acceleration(5.0, 6.0, 0.1) == pytest.approx(0.7 + 0.005 / 0.1 + 0.001 * 0.1)
+    assert controller.acceleration(5.0, 6.0, 0.1) == pytest.approx(2.0 + 0.005 / 0.1 + 0.001 * 0.1)
 
 
 def test_a_higher_gain_brakes_harder_at_low_speed() -> None:
-    mild, firm = WaypointController(), WaypointController(speed_gain=2.0)
+    mild, firm = WaypointController(speed_gain=0.7), WaypointController()
     assert mild.acceleration(1.0, 0.0, 0.1) == pytest.approx(-0.7, abs=0.001)
     assert firm.acceleration(1.0, 0.0, 0.1) == pytest.approx(-2.0, abs=0.001)
 

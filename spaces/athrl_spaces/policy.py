@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +24,9 @@ SCHEMA_VERSION = 2
 MOST_LEVELS, MOST_ENTRIES, MOST_CHOICES, LARGEST_STATE = 16, 256, 4096, 65_536
 MOST_SEEN, LONGEST_NAME, LONGEST_TEXT, LARGEST_NUMBER = 64, 256, 2**20, 1e9
 """Bounds for files from other sources; `MOST_SEEN` is of channels, and of entries of the motion vector."""
+
+GAIN_OF_OLDER_FILES = 0.7
+"""1/s, of the speed loop; files that do not say it were made for the gain of the authors' release."""
 
 LARGEST_ARTEFACT = 320 * 2**20
 """Bytes of a policy's file. The paper's planner has 12 MB; opening takes three times as much memory."""
@@ -206,10 +209,8 @@ def _plain(document: dict[str, Any], description: PolicyDescription) -> dict[str
 
 
 def _limits(document: Mapping[str, Any]) -> Limits:
-    names = ["maximum_speed", "waypoint_radius", "waypoint_half_angle"]
-    if "speed_gain" in document:  # older files have none, and were made for the default
-        names.append("speed_gain")
-    values = {name: _number(document, name) for name in names}
+    document = {"speed_gain": GAIN_OF_OLDER_FILES, **document}
+    values = {field.name: _number(document, field.name) for field in fields(Limits)}
     for name, value in values.items():
         if not value > 0:
             raise InvalidDescription(f"its metadata: limits.{name} is {value:g}; it should be above 0")

@@ -101,12 +101,12 @@ def test_level_of_which_nothing_is_said_is_paid_the_tasks_reward() -> None:
     assert PolicyDescription.from_json(json.dumps(document)) == ALL["hierarchy"]
 
 
-def test_file_without_a_speed_gain_was_made_for_the_default() -> None:
+def test_file_without_a_speed_gain_was_made_for_the_one_of_the_release() -> None:
     document = json.loads(ALL["hierarchy"].to_json())
-    assert document["limits"].pop("speed_gain") == 0.7
-    assert PolicyDescription.from_json(json.dumps(document)) == ALL["hierarchy"]
-    document["limits"]["speed_gain"] = 2.0
-    assert PolicyDescription.from_json(json.dumps(document)).limits.speed_gain == 2.0
+    assert document["limits"].pop("speed_gain") == 2.0
+    assert PolicyDescription.from_json(json.dumps(document)).limits.speed_gain == 0.7
+    document["limits"]["speed_gain"] = 3.0
+    assert PolicyDescription.from_json(json.dumps(document)).limits.speed_gain == 3.0
 
 
 def test_terms_that_a_level_is_paid_are_found_by_their_names() -> None:

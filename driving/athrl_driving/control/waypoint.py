@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from athrl_spaces.action_kinds import MAXIMUM_ACCELERATION, MAXIMUM_STEERING
+from athrl_spaces.action_kinds import MAXIMUM_ACCELERATION, MAXIMUM_STEERING, Limits
 from numpy.typing import NDArray
 
 from athrl_driving.control.pid import Pid, pid_step
@@ -19,7 +19,7 @@ WHEEL_ANGLE_PER_STEERING = math.radians(70.0)
 """Angle of the front wheels for a steering command of 1, rad; the limit of 0.3 is 21 degrees."""
 
 PROPORTIONAL, DERIVATIVE, INTEGRAL = 0.7, 0.005, 0.001
-"""Gains of both loops, as in the authors' release; the speed loop's proportional one is a setting."""
+"""Gains of the steering loop, and the last two of the speed loop too, as in the authors' release."""
 
 
 @compiled
@@ -79,7 +79,7 @@ class WaypointController:
         self,
         speed_memory: NDArray[np.float64] | None = None,
         steering_memory: NDArray[np.float64] | None = None,
-        speed_gain: float = PROPORTIONAL,
+        speed_gain: float = Limits.speed_gain,
     ) -> None:
         rest = (DERIVATIVE, INTEGRAL)
         self.speed_loop = Pid(speed_gain, *rest, limit=MAXIMUM_ACCELERATION, memory=speed_memory)

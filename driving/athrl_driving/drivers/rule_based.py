@@ -31,12 +31,9 @@ class RuleBasedDriver(Driver):
     def act(self, env: gymnasium.Env | EnvView) -> NDArray[np.float32]:
         """Follow the route, as fast as traffic, junctions and bends ahead allow."""
         town = town_of(env)
-        speed = town.vehicle.speed
-        acceleration = self._acceleration(town)
-        gain = town.vehicle.controller.speed_loop.proportional
-        return town.action_type.normalised(
-            speed + acceleration / gain, pursuit_angle(town, self._look_ahead(speed))
-        )
+        target_speed = _target_speed(town, self._acceleration(town))
+        angle = pursuit_angle(town, self._look_ahead(town.vehicle.speed))
+        return town.action_type.normalised(target_speed, angle)
 
     def _look_ahead(self, speed: float) -> float:
         """Distance of the pursued point along the route, m."""
@@ -80,3 +77,13 @@ class RuleBasedDriver(Driver):
                 bend_speed = math.sqrt(self.LATERAL_ACCELERATION / curvature)
                 desired = min(desired, math.sqrt(bend_speed**2 + 2.0 * self.BEND_BRAKING * distance))
         return desired
+
+
+def _target_speed(env: DrivenTown, acceleration: float) -> float:
+    """Target speed with which the ego accelerates by as much on average until the next decision, m/s.
+
+    The speed loop asks for `gain` times what is missing, which gets less while the speed changes.
+    """
+    gain = env.vehicle.controller.speed_loop.proportional
+    interval = env.config["ticks_per_decision"] / env.config["simulation_frequency"]
+    return env.vehicle.speed + acceleration * interval / -math.expm1(-gain * interval)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from athrl_spaces import Limits
 from highway_env.road.road import Road
 from highway_env.utils import Vector
 from highway_env.vehicle.graphics import VehicleGraphics
@@ -12,7 +13,6 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from athrl_driving.control import WaypointController
-from athrl_driving.control.waypoint import PROPORTIONAL
 from athrl_driving.episode.ego import (
     ACCELERATION,
     CONTROL_SIZE,
@@ -88,7 +88,7 @@ class EgoVehicle(Vehicle):
         control: NDArray[np.float64],
         collision: NDArray[np.int64],
         prediction_type: str,
-        speed_gain: float = PROPORTIONAL,
+        speed_gain: float = Limits.speed_gain,
     ) -> None:
         self._ego, self._control, self._collision = ego, control, collision
         state = ego.copy(), control.copy(), collision.copy()

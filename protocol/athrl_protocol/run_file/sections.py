@@ -51,7 +51,7 @@ class RunSection(Section):
         description="Root of the tree of seeds: run, service, environment, episode.",
     )
     environment_steps: int = Field(
-        default=900_000,
+        default=400_000,
         ge=1,
         le=MOST_STEPS,
         description="Decisions of all actors together after which the run ends.",
@@ -97,9 +97,9 @@ class EnvironmentSection(Section):
     )
     speed_gain: float = _bounded(
         "speed_gain",
-        0.7,
+        2.0,
         "Acceleration towards the target speed for each m/s that is missing, 1/s; of planners that decide a "
-        "waypoint.",
+        "waypoint. 0.7 is the authors' release.",
     )
 
 

@@ -113,7 +113,7 @@ def test_a_policy_drives_with_the_ranges_that_it_was_trained_for(artefact: bytes
     assert (fitted.image_size, fitted.vehicles) == (32, 7)
     assert fitted.maximum_speed == pytest.approx(7.95)
     assert fitted.waypoint_radius == 8.0
-    assert fitted.speed_gain == 0.7
+    assert fitted.speed_gain == 2.0
     assert math.radians(fitted.waypoint_half_angle) == pytest.approx(math.pi / 6)
 
 

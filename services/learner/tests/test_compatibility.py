@@ -113,7 +113,7 @@ def _table(kind: str) -> list[str]:
 @pytest.mark.parametrize("checkpoints", ["there", "removed"])
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("image_size", 24), ("maximum_speed", 5.0), ("waypoint_half_angle", 20.0), ("speed_gain", 2.0)],
+    [("image_size", 24), ("maximum_speed", 5.0), ("waypoint_half_angle", 20.0), ("speed_gain", 0.7)],
 )
 def test_other_sizes_or_ranges_are_refused_by_their_settings(
     run_file, folder, stopped, key, value, checkpoints
