@@ -130,10 +130,10 @@ def _read_part(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         road = _read_road(reader, content, element)
         if road.id in content.roads:
             raise reader.error(element, "there is already a road with this id")
-        if road.geometries and road.length > 0.0:
+        if road.geometries:
             content.roads[road.id] = road
         else:
-            reader.note(element, "a road without a reference line or a length was left out")
+            reader.note(element, "a road without a reference line was left out")
     elif element.tag == "junction":
         _add_junction(content, read_junction(reader, content, element))
     else:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from lxml import etree  # type: ignore[import-untyped]
 
-from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_COORDINATE, LARGEST_GAP
+from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_COORDINATE, LARGEST_GAP, SHORTEST_ROAD
 from athrl_driving.maps.opendrive.element_reader import ElementReader
 from athrl_driving.maps.opendrive.model import Geometry
 
@@ -44,7 +44,12 @@ def read_reference_line(
         if following is None or following.s > geometry.s
     ]
     geometries = _from_start(reader, road, geometries)
-    return geometries, _length(reader, road, geometries, length)
+    length = _length(reader, road, geometries, length)
+    if length >= SHORTEST_ROAD:
+        return geometries, length
+    reader.note(road, "a road of no length was read as a link between those that it is linked to")
+    point = replace(geometries[0], s=0.0, length=SHORTEST_ROAD, kind="line", parameters=())
+    return [point], SHORTEST_ROAD
 
 
 def _from_start(reader: ElementReader, road: etree._Element, geometries: list[Geometry]) -> list[Geometry]:
