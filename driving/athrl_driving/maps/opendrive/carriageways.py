@@ -60,6 +60,8 @@ class LaneSegment:
     may_right: bool = False
     junction: str = ""
     """The junction that it leads through; empty on ordinary road."""
+    prolonged: bool = False
+    """Whether it is longer than in the file, where its road leaves or enters the map."""
     carriageway: "Carriageway" = field(init=False, repr=False)
 
     def at(self, s: float) -> tuple[float, float, float]:
