@@ -102,3 +102,13 @@ def test_a_short_road_by_itself_is_not_prolonged(tmp_path: Path) -> None:
     roads.road(1, (0.0, 0.0, 0.0), [(11.0, 0.0)])
     with pytest.raises(MapError, match=r"no lane is long enough to stand on: the longest .+ has 11.0 m"):
         roads.load(tmp_path)
+
+
+def test_a_short_end_that_is_left_out_stays_as_it_is_in_the_file(tmp_path: Path) -> None:
+    """A stub at a ring is no exit: the map stays closed, and it is among what is left out."""
+    stub = geometry(0, 200.0, 0.0, length=5.0)
+    text = ring("", road(5, stub, length=5, links=link("predecessor", 1, "end")))
+    town, without = town_from(tmp_path, text), town_from(tmp_path, ring())
+    assert (kinds(town), town.left_out) == ([], (("road 5", -1, pytest.approx(5.0)),))
+    assert metres(town) == pytest.approx(metres(without))
+    assert ways_out(town.graph).size == 0

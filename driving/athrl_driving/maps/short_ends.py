@@ -4,7 +4,7 @@ Maps are cut out of larger ones, often right behind a junction. Beyond the edge 
 the file has it, no vehicle could leave the junction there, as none may stand on so short a road.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterable
 
 from athrl_driving.maps.findings import Findings
 from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
@@ -19,16 +19,17 @@ _ROUNDING = 1e-3
 Links = dict[LaneSegment, list[LaneSegment]]
 
 
-def prolong_short_ends(findings: Findings, carriageways: list[Carriageway]) -> None:
-    """Prolong roads at the map's edge to `STANDING_LENGTH`, straight on or along their arc; note each."""
+def prolong_short_ends(carriageways: list[Carriageway]) -> None:
+    """Prolong roads at the map's edge to `STANDING_LENGTH`, straight on or along their arc."""
     segments = all_segments(carriageways)
     before = predecessors_of(segments)
     after = {segment: segment.successors for segment in segments}
     for carriageway in carriageways:
-        for onwards, backwards, prolong in ((after, before, _end_later), (before, after, _start_earlier)):
+        for onwards, backwards, sign in ((after, before, 1.0), (before, after, -1.0)):
             metres = _missing(carriageway.lanes, onwards, backwards)
             if metres > 0.0 and all(_bends_little(segment, metres) for segment in carriageway.lanes):
-                _prolong(findings, carriageway, metres, prolong)
+                for segment in carriageway.lanes:
+                    _change_length(segment, sign * (metres + _ROUNDING))
 
 
 def _missing(lanes: list[LaneSegment], onwards: Links, backwards: Links) -> float:
@@ -56,28 +57,25 @@ def _bends_little(segment: LaneSegment, metres: float) -> bool:
     return abs(segment.curvature) * (segment.length + metres) < _MOST_TURN
 
 
-def _prolong(
-    findings: Findings,
-    carriageway: Carriageway,
-    metres: float,
-    prolong: Callable[[LaneSegment, float], None],
-) -> None:
-    for segment in carriageway.lanes:
-        prolong(segment, metres + _ROUNDING)
-        segment.prolonged = True
-    findings.add(FOUND, f"road {carriageway.road.id}", metres, allowed=True)
+def settle_short_ends(findings: Findings, kept: Iterable[LaneSegment], lost: Iterable[LaneSegment]) -> None:
+    """Note the lanes that are driven on because they were prolonged, and make the others as they were."""
+    for segment in kept:
+        if segment.prolonged:
+            place = f"road {segment.carriageway.road.id}, lane {segment.lane.id}"
+            findings.add(FOUND, place, abs(segment.prolonged), allowed=True)
+    for segment in lost:
+        if segment.prolonged:
+            _change_length(segment, -segment.prolonged)
 
 
-def _end_later(segment: LaneSegment, metres: float) -> None:
-    segment.end_elevation += _grade(segment) * metres
-    segment.length += metres
-
-
-def _start_earlier(segment: LaneSegment, metres: float) -> None:
-    segment.elevation -= _grade(segment) * metres
-    segment.x, segment.y, segment.heading = segment.at(-metres)
-    segment.length += metres
-
-
-def _grade(segment: LaneSegment) -> float:
-    return (segment.end_elevation - segment.elevation) / segment.length
+def _change_length(segment: LaneSegment, metres: float) -> None:
+    """Make a lane longer by some metres at its end, or at its start; as much shorter if it was prolonged."""
+    change = abs(metres) if not segment.prolonged else -abs(metres)
+    rise = (segment.end_elevation - segment.elevation) / segment.length * change
+    if (metres > 0.0) == (change > 0.0):
+        segment.end_elevation += rise
+    else:
+        segment.elevation -= rise
+        segment.x, segment.y, segment.heading = segment.at(-change)
+    segment.length += change
+    segment.prolonged += metres

@@ -30,7 +30,7 @@ from athrl_driving.maps.opendrive.roadway import Roadway, build_roadway
 from athrl_driving.maps.outlines import LaneShapes, centre_lines
 from athrl_driving.maps.priority import priorities, ring_segments, turn_of, yielding_movements
 from athrl_driving.maps.reachability import Drivable, drivable_part
-from athrl_driving.maps.short_ends import prolong_short_ends
+from athrl_driving.maps.short_ends import prolong_short_ends, settle_short_ends
 from athrl_driving.maps.signals import signals_of
 from athrl_driving.maps.standing_segments import (
     all_segments,
@@ -197,7 +197,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     make_junctions_of_forks(carriageways)
     make_junctions_of_crossings(content.findings, carriageways)
     note_lanes_lying_over(content.findings, carriageways)
-    prolong_short_ends(content.findings, carriageways)
+    prolong_short_ends(carriageways)
     segments = all_segments(carriageways)
     standing = standing_segments(content.name, segments)
     drivable = drivable_part(carriageways, standing, find_movements(segments, standing))
@@ -205,6 +205,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     _check_drivable(content.name, drivable)
     kept = set(numbering.segments)
     lost = [segment for segment in segments if segment not in kept]
+    settle_short_ends(content.findings, dict.fromkeys(numbering.segments), lost)
     left_out = _left_out(lost)
     relations = relations_of(drivable.movements)
     turns = np.array([turn_of(movement) for movement in drivable.movements], dtype=np.int64)
