@@ -48,7 +48,8 @@ def read_reference_line(
     length = _length(reader, road, geometries, length)
     if length >= SHORTEST_ROAD:
         return geometries, length
-    reader.note(road, "a road of no length was read as a link between those that it is linked to")
+    if length == 0.0:  # some micrometres are what exporters leave where two numbers were rounded
+        reader.note(road, "a road of no length was read as a link between those that it is linked to")
     point = replace(geometries[0], s=0.0, length=SHORTEST_ROAD, kind="line", parameters=())
     return [point], SHORTEST_ROAD
 
