@@ -32,6 +32,7 @@ def test_a_road_of_hardly_any_length_joins_its_neighbours(tmp_path: Path, length
     assert metres(town) == pytest.approx(metres(town_from(tmp_path, ring())), abs=0.02)
     assert kinds(town) == ([] if length else [NO_LENGTH])
     assert town.left_out == ()
+    assert ways_out(town.graph).size == 0, "the ring is closed"
 
 
 @pytest.mark.parametrize(
