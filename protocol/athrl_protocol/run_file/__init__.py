@@ -8,7 +8,7 @@ from athrl_protocol.run_file.documentation import (
     settings,
     to_toml,
 )
-from athrl_protocol.run_file.maps import require_same_maps, with_whole_maps
+from athrl_protocol.run_file.maps import are_other_towns, require_same_maps, with_whole_maps
 from athrl_protocol.run_file.planner_tables import PlannerSection, declare_planners, declared_planners
 from athrl_protocol.run_file.reading import read_run_file
 from athrl_protocol.run_file.reference import reference_page
@@ -40,6 +40,7 @@ __all__ = [
     "RunSection",
     "SerialSection",
     "Setting",
+    "are_other_towns",
     "declare_planners",
     "declared_planners",
     "default_toml",
