@@ -10,7 +10,7 @@ from athrl_protocol.run_file.documentation import (
 )
 from athrl_protocol.run_file.maps import are_other_towns, require_same_maps, with_whole_maps
 from athrl_protocol.run_file.planner_tables import PlannerSection, declare_planners, declared_planners
-from athrl_protocol.run_file.reading import read_run_file
+from athrl_protocol.run_file.reading import OverrideFrom, read_run_file
 from athrl_protocol.run_file.reference import reference_page
 from athrl_protocol.run_file.root import RunFile
 from athrl_protocol.run_file.sections import (
@@ -34,6 +34,7 @@ __all__ = [
     "LearnerSection",
     "MetricsSection",
     "NetworkSection",
+    "OverrideFrom",
     "PlannerSection",
     "ReplaySection",
     "RunFile",
