@@ -121,8 +121,11 @@ def test_town_or_map_of_another_name_is_another_town(run_file: RunFile, map_file
 
 
 def test_one_map_by_two_names_and_a_folder_as_a_map_are_refused(map_file: Path) -> None:
-    twice = read_run_file(None, ['environment.towns=["maps/m.xodr", "maps/../maps/m.xodr"]'])
-    assert "appears twice" in refusal(with_whole_maps, twice)
+    for paths in ('["maps/m.xodr", "maps/../maps/m.xodr"]', f'["maps/m.xodr", "{map_file}"]'):
+        with pytest.raises(
+            RunFileError, match=r'has "maps/m.xodr" twice, also as ".*: should have each town'
+        ):
+            read_run_file(None, [f"environment.towns={paths}"])
     map_file.with_name("folder.xodr").mkdir()
     folder = read_run_file(None, ["environment.towns=maps/folder.xodr"])
     assert "is no file" in refusal(with_whole_maps, folder)
