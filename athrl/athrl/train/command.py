@@ -127,7 +127,7 @@ def train(
         say(f"stopped; to continue: {_to_continue(plan, actors, viewer_port)}")
         raise typer.Exit(INTERRUPTED)
     for table in comparison_tables(read_comparison(plan.folder, since=began)):
-        Console().print(table)
+        Console(emoji=False).print(table)
     print(f"policy: {plan.folder / 'policies' / 'latest.onnx'}")
 
 
