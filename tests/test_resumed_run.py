@@ -57,3 +57,23 @@ def test_run_is_not_resumed_in_another_map_of_the_same_name(command, service: li
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert f"{town} is another map than the run's" in result.stderr
+
+
+def test_run_that_goes_on_in_another_map_says_so_or_is_refused(command) -> None:
+    folder, here = Path(command.folder) / "runs" / "mine", Path(command.folder)
+    folder.mkdir(parents=True)
+    (here / "moved").mkdir()
+    shutil.copy(TOWNS / "town02.xodr", here / "m.xodr")
+    shutil.copy(TOWNS / "town04.xodr", here / "moved" / "m.xodr")
+    settings = read_run_file(None, [f"environment.towns={here}/m.xodr"])
+    (folder / "run.toml").write_text(saved_toml(with_whole_maps(settings)))
+    check = ["learner", "--resume", "mine", "--check", "--set"]
+    result = command.run(*check, "environment.towns=town04", seconds=SECONDS)
+    assert result.returncode == 0
+    assert f"runs/mine goes on in another town than before: was {here}/m.xodr, is town04" in result.stderr
+    for words in (check, ["train", "--resume", "mine", "--set"]):
+        result = command.run(*words, "environment.towns=moved/m.xodr", seconds=SECONDS)
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1
+        assert "moved/m.xodr (SHA-256 " in result.stderr
+        assert f"is another map than {here}/m.xodr" in result.stderr

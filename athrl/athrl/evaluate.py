@@ -9,18 +9,32 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
-from athrl_protocol.run_file import EnvironmentSection, RunFile
+from athrl_protocol.run_file import EnvironmentSection, RunFile, require_same_maps
+from athrl_protocol.run_file.toml_values import to_toml_value
+from athrl_protocol.run_file.towns import read_towns
 from athrl_spaces import CASE_STUDIES, REFERENCE_DRIVERS
 from athrl_spaces.wording import system_reason
-from rich.console import Console
 from rich.table import Table
 
 from athrl import runs
-from athrl.errors import CommandError, needs
-from athrl.options import ForceOption, JsonOption, RunFileOption, SetOption, given_folder, overrides
+from athrl.errors import CommandError, needs, say
+from athrl.options import (
+    ForceOption,
+    JsonOption,
+    OverwriteOption,
+    RunFileOption,
+    SetOption,
+    given_folder,
+    overrides,
+)
+from athrl.output import console
+from athrl.train.plan import require_world
+
+if TYPE_CHECKING:
+    from athrl_evaluator import EvaluationSettings
 
 ALL = "all"
 
@@ -43,7 +57,8 @@ def evaluate(
         ),
     ],
     town: Annotated[
-        str | None, typer.Option(help="Town or map to drive in; by default the run file's towns.")
+        list[str] | None,
+        typer.Option(help="Town or map to drive in; by default the run file's towns; can be repeated."),
     ] = None,
     case_study: Annotated[
         str | None,
@@ -65,30 +80,65 @@ def evaluate(
             metavar="FOLDER", parser=given_folder, help="Folder for an MCAP recording of each episode."
         ),
     ] = None,
+    overwrite: OverwriteOption = False,
     force: ForceOption = None,
     as_json: JsonOption = False,
     run_file: RunFileOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Drive episodes without exploration and print the scores with a 95 % interval of the return."""
+    """Drive episodes without exploration and print the scores with a 95 % interval of the return.
+
+    A policy in the folder of a run drives by default with that run's settings, in its towns.
+    """
     named = {setting.partition("=")[0].strip() for setting in settings or []}
-    given = {"environment.towns": town, "evaluator.final_episodes": episodes, "evaluator.seed": seed}
-    _check_case_study(case_study, town, named)
-    by_option = [f"{name}={value}" for name, value in given.items() if value is not None]
-    if town is not None:
-        check_town(town)
-    run_settings = runs.new_settings(run_file, overrides(settings) + by_option, training=False)
-    _check_used(named, {name for name, value in given.items() if value is not None})
-    _check_folder(record)
+    by_option = _by_option(town or None, episodes, seed)
+    _check_case_study(case_study, town or None, named)
+    _check_towns(town or [])
+    _check_used(named, set(by_option))
     driver = find_driver(policy)
-    places = _places(run_settings.environment, case_study, named)
-    results = [
-        _evaluate(driver, run_settings, place, record, force or [], many=len(places) > 1) for place in places
-    ]
+    own = run_file_of(driver) if run_file is None else None
+    given = overrides(settings) + [f"{name}={to_toml_value(value)}" for name, value in by_option.items()]
+    run_settings = runs.new_settings(run_file or own, given, training=False)
+    environment = run_settings.environment if own is None else _beside_policy(run_settings.environment, named)
+    places = _places(environment, case_study, named)
+    if case_study is None:
+        require_same_maps(run_settings)
+    _require_room(places)
+    _check_folder(record)
+    drives = [_evaluation(run_settings, place, record, force or [], len(places) > 1) for place in places]
+    _check_recordings(driver, drives, overwrite)
+    results = [_evaluate(driver, *drive) for drive in drives]
+    named |= {setting.partition("=")[0].strip() for setting in given}
+    is_named = case_study is not None or run_file is not None or "environment.towns" in named
+    told = _where_by_default(run_settings.environment, own, is_named)
+    if told:
+        say(told)
     _print(policy, results, as_json)
 
 
-def _check_case_study(case_study: str | None, town: str | None, named: set[str]) -> None:
+def _by_option(town: list[str] | None, episodes: int | None, seed: int | None) -> dict[str, Any]:
+    """Return the settings that have their own option and are given by it."""
+    values = {"environment.towns": town, "evaluator.final_episodes": episodes, "evaluator.seed": seed}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def run_file_of(driver: str | Path) -> Path | None:
+    """Return the run file of the run in whose folder a policy is; None for another driver."""
+    path = driver.absolute().parent if isinstance(driver, Path) else Path()
+    beside = path.parent / "run.toml"
+    return beside if path.name == "policies" and beside.is_file() else None
+
+
+def _where_by_default(environment: EnvironmentSection, own: Path | None, is_named: bool) -> str:
+    """Return one line that says where was driven, unless the command line or a run file names it."""
+    towns = ", ".join(environment.towns)
+    if own is not None:
+        where = "" if is_named else f" in {towns}"
+        return f"driven{where} with the settings of the policy's run, {os.path.relpath(own)}"
+    return "" if is_named else f"driven in {towns}, the default: --town names another town or a map"
+
+
+def _check_case_study(case_study: str | None, town: list[str] | None, named: set[str]) -> None:
     """Refuse an unknown case study, and a town together with a case study."""
     if case_study is None:
         return
@@ -108,6 +158,17 @@ def _check_used(named: set[str], by_option: set[str]) -> None:
         section = name.partition(".")[0]
         if section != "environment" and name not in _OPTION_OF_SETTING and name != "actor.stall_seconds":
             raise CommandError(f"--set {name}: evaluate only drives and would ignore it; it uses {_USED}")
+
+
+def _check_towns(towns: list[str]) -> None:
+    """Refuse the towns of `--town` as `check_town` does, and one that is given twice."""
+    for town in towns:
+        check_town(town)
+    try:
+        if towns:
+            read_towns(towns)
+    except ValueError as error:
+        raise CommandError(f"--town {error}") from None
 
 
 def check_town(town: str, vehicles: int = 0) -> None:
@@ -139,6 +200,16 @@ def _check_folder(folder: Path | None) -> None:
         raise CommandError(
             f"--record {folder}: {cause}, it should be a folder that can be made and written"
         ) from None
+
+
+def _check_recordings(driver: str | Path, drives: Sequence[_Drive], overwrite: bool) -> None:
+    """Refuse to replace recordings, which may be of another map, before anything is driven."""
+    with needs("evaluator"):
+        from athrl_evaluator.evaluate import recordings_of
+    for _, settings, folder in drives if not overwrite else []:
+        for path in recordings_of(driver, settings, folder) if folder is not None else []:
+            if path.exists():
+                raise CommandError(f"{path} exists already: name another folder, or add --overwrite")
 
 
 def find_driver(policy: str, option: str = "--policy ") -> str | Path:
@@ -196,18 +267,32 @@ def _places(section: EnvironmentSection, case_study: str | None, named: set[str]
     return [_Place(in_town(section, town), None, {"town": town}, label) for town, label in labels.items()]
 
 
-def _evaluate(
-    driver: str | Path,
-    settings: RunFile,
-    place: _Place,
-    record: Path | None,
-    forced: Sequence[str],
-    *,
-    many: bool,
-) -> dict[str, Any]:
-    """Score a driver; of several places each has its own folder of recordings."""
+def _require_room(places: Sequence[_Place]) -> None:
+    """Refuse more vehicles than a place has room for; a case study has fewer, unless they are given."""
     with needs("evaluator"):
-        from athrl_evaluator import EvaluationSettings, evaluate_driver
+        from athrl_evaluator.scoring.case_studies import case_study_settings
+        from athrl_evaluator.scoring.environments import in_town
+    for place in places:
+        if place.case_study is None:
+            require_world(place.section)
+        elif "vehicles" in place.section.model_fields_set:
+            require_world(in_town(place.section, case_study_settings(place.case_study)["town"]))
+
+
+class _Drive(NamedTuple):
+    """What is driven in a place, and the folder for its recordings."""
+
+    facts: dict[str, str]
+    settings: EvaluationSettings
+    folder: Path | None
+
+
+def _evaluation(
+    settings: RunFile, place: _Place, record: Path | None, forced: Sequence[str], many: bool
+) -> _Drive:
+    """Return what is driven in a place; of several places each has its own folder of recordings."""
+    with needs("evaluator"):
+        from athrl_evaluator import EvaluationSettings
     evaluation = EvaluationSettings(
         episodes=settings.evaluator.final_episodes,
         seed=settings.evaluator.seed,
@@ -216,9 +301,24 @@ def _evaluate(
         forced=forced,
         stall_seconds=settings.actor.stall_seconds,
     )
-    folder = record / place.folder if record is not None and many else record
-    scores = evaluate_driver(driver, evaluation, record=folder)
-    return {**place.facts, "seed": settings.evaluator.seed, **scores.as_dict()}
+    return _Drive(place.facts, evaluation, record / place.folder if record is not None and many else record)
+
+
+def _evaluate(
+    driver: str | Path, facts: dict[str, str], settings: EvaluationSettings, folder: Path | None
+) -> dict[str, Any]:
+    with needs("evaluator"):
+        from athrl_evaluator import evaluate_driver
+    scores = evaluate_driver(driver, settings, record=folder)
+    return {**facts, "seed": settings.seed, **scores.as_dict()}
+
+
+def _beside_policy(section: EnvironmentSection, named: set[str]) -> EnvironmentSection:
+    """Settings of a policy's own run: of what follows from the policy itself only what is given is kept."""
+    with needs("evaluator"):
+        from athrl_evaluator.scoring.environments import FIXED_BY_POLICY
+    own = FIXED_BY_POLICY - {name.removeprefix("environment.") for name in named}
+    return EnvironmentSection(**section.model_dump(include=section.model_fields_set - own))
 
 
 def _beside_case_study(section: EnvironmentSection, named: set[str]) -> EnvironmentSection:
@@ -236,7 +336,10 @@ def _print(policy: str, results: Sequence[dict[str, Any]], as_json: bool) -> Non
         return
     where = f" in {results[0]['town']}" if many == "towns" and len(results) == 1 else ""
     table = Table(title=f"{policy}{where}", show_header=False)
+    table.add_column(no_wrap=True)
+    for _ in results:
+        table.add_column(overflow="fold")  # a map's path has to stay whole
     for name in results[0]:
         values = [result[name] for result in results]
         table.add_row(name, *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in values))
-    Console().print(table)
+    console().print(table)

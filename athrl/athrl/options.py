@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +12,7 @@ import typer
 from athrl_protocol.errors import ProtocolError
 from athrl_protocol.faults.zenoh_refusals import refusals_logged
 from athrl_protocol.monitoring.address import metrics_address
-from athrl_protocol.run_file import RunFile
+from athrl_protocol.run_file import OverrideFrom, RunFile
 from athrl_protocol.security.certificates import VARIABLE
 
 from athrl.errors import CommandError
@@ -20,6 +21,10 @@ DEFAULTS = RunFile()
 
 WHAT, WHERE = "What to run", "Machine and network"
 """Groups of options in the help."""
+
+SET_VARIABLE = "ATHRL_SET"
+_WORD = re.compile(r"""(?:"[^"]*"|'[^']*'|\S)+""")
+"""A setting in that variable: quotes of TOML, which stay, hold what is in them together."""
 
 METRICS_VARIABLE = "ATHRL_METRICS_LISTEN"
 """Where evaluator and router answer Prometheus, unless an option says it."""
@@ -119,6 +124,7 @@ ForceOption = Annotated[
         help="Fix a decision of the policy, such as intention=0; can be repeated.",
     ),
 ]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace a file that exists already.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print only one JSON object.")]
 
 
@@ -152,5 +158,6 @@ def logged_refusals(secure: bool) -> AbstractContextManager[None]:
 
 
 def overrides(given: list[str] | None) -> list[str]:
-    """Return the settings in ATHRL_SET, separated by white space, then those of the command line."""
-    return os.environ.get("ATHRL_SET", "").split() + list(given or [])
+    """Return the settings in ATHRL_SET, separated by spaces outside of quotes, then the command line's."""
+    words = _WORD.findall(os.environ.get(SET_VARIABLE, ""))
+    return [*(OverrideFrom(word, SET_VARIABLE) for word in words), *(given or [])]

@@ -15,6 +15,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from rich.console import Console
+
 from athrl.errors import CommandError
 
 LEVEL = "ATHRL_LOG"
@@ -60,6 +62,11 @@ def of_json(values: Mapping[str, Any]) -> dict[str, Any]:
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
     return {name: plain(value) for name, value in values.items()}
+
+
+def console(*, soft_wrap: bool = False) -> Console:
+    """Return standard output for tables: names of files have no markup, [bold] or :car: is part of one."""
+    return Console(markup=False, emoji=False, highlight=False, soft_wrap=soft_wrap)
 
 
 def start_log() -> None:

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from athrl.errors import needs
 from athrl.options import JsonOption
+from athrl.output import console
 
 
 def policies(as_json: JsonOption = False) -> None:
@@ -25,7 +25,7 @@ def policies(as_json: JsonOption = False) -> None:
     if not cards:
         print("no policies come with this program")
     for name, card in cards.items():
-        Console().print(_table(name, card))
+        console().print(_table(name, card))
 
 
 def _table(name: str, card: Mapping[str, Any]) -> Table:

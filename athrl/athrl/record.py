@@ -10,7 +10,7 @@ import typer
 
 from athrl.errors import CommandError, needs
 from athrl.evaluate import check_town, find_driver
-from athrl.options import DEFAULTS
+from athrl.options import DEFAULTS, OverwriteOption
 from athrl.stopping import stop_on_signal
 
 STOPPED = 130
@@ -37,7 +37,7 @@ def record(
     size: Annotated[
         str, typer.Option(metavar="WIDTHxHEIGHT", help="Pixels, both even, from 64 to 4096.")
     ] = "1280x720",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Film a driver: the town around it in real time, as an MP4 file.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from athrl_spaces import REFERENCE_DRIVERS
 from athrl_spaces.untrusted import one_line
 from athrl_spaces.wording import system_reason
 
@@ -61,7 +62,9 @@ def _facts(verdict: Verdict) -> dict[str, object]:
 
 def _text(verdict: Verdict) -> str:
     """The verdict in one line."""
-    episode = f"{verdict.decisions} decisions ({verdict.seconds:.1f} s) of {verdict.driver}"
+    known = (*REFERENCE_DRIVERS, "policy")
+    driver = verdict.driver if verdict.driver in known else f"policy {verdict.driver}"
+    episode = f"{verdict.decisions} decisions ({verdict.seconds:.1f} s) of {driver}"
     episode += f" in {verdict.town}, seed {verdict.seed}"
     elsewhere = f"; recorded by {verdict.recorded_by}" if verdict.recorded_by else ""
     if verdict.first is not None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from athrl_protocol import RunFileError
-from athrl_protocol.run_file import RunFile, declare_planners, read_run_file, settings
+from athrl_protocol.run_file import RunFile, are_other_towns, declare_planners, read_run_file, settings
 from athrl_protocol.run_file.toml_values import to_toml_value
 
 from athrl.errors import CommandError, needs
@@ -96,6 +96,19 @@ def _with_checksums_of(began: RunFile, resumed: RunFile) -> RunFile:
     """The resumed settings with the known checksums of maps: a whole run file that is given has none."""
     checksums = {**resumed.run.map_checksums, **began.run.map_checksums}
     return resumed.model_copy(update={"run": resumed.run.model_copy(update={"map_checksums": checksums})})
+
+
+def told_other_towns(folder: Path, resumed: RunFile) -> str:
+    """Return one line if a run goes on in other towns than before; empty if in the same, or moved maps.
+
+    Raises:
+        RunFileError: a map in place of the run's has its file name and another content.
+    """
+    began = read_run_file(folder / "run.toml", complete=True)
+    if not are_other_towns(began, resumed):
+        return ""
+    was, now = (", ".join(settings.environment.towns) for settings in (began, resumed))
+    return f"{folder} goes on in another town than before: was {was}, is {now}"
 
 
 def require_name(name: str, place: str) -> None:

@@ -30,7 +30,11 @@ def is_own_name(name: str) -> bool:
 
 
 def program(name: str) -> str:
-    """Return how to call a program that was installed with this one: its name, or else its path."""
+    """Return how to call a program that was installed with this one: its name, or else its path.
+
+    The path is relative only from a folder that holds it: elsewhere `../..` would be of no use after a `cd`.
+    """
     if shutil.which(name) is not None:
         return name
-    return os.path.relpath(Path(sys.executable).parent / name)
+    path = Path(sys.executable).parent.absolute() / name
+    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)

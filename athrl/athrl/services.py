@@ -10,7 +10,7 @@ import typer
 
 from athrl import runs
 from athrl.certificate_role import name_of_actor, require_role
-from athrl.errors import needs
+from athrl.errors import needs, say
 from athrl.options import (
     DEFAULTS,
     WHERE,
@@ -95,6 +95,9 @@ def learner(
         with needs("learner"):
             from athrl_learner.run_settings import checked_settings
         checked_settings(run_settings, folder)  # wrong ones are refused before torch is imported
+        other_towns = runs.told_other_towns(folder, run_settings) if folder is not None else ""
+        if other_towns:
+            say(other_towns)
         with needs("learner"):
             from athrl_learner import check_run, run_learner
         if check:

@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from athrl_protocol.run_file import EnvironmentSection
+from athrl_spaces.wording import counted
 
 from athrl.errors import CommandError, needs
 from athrl.evaluate import check_town, find_driver
-from athrl.options import DEFAULTS, CertificatesOption, ConnectOption, ForceOption, LiveRunOption
+from athrl.options import (
+    DEFAULTS,
+    CertificatesOption,
+    ConnectOption,
+    ForceOption,
+    LiveRunOption,
+    OverwriteOption,
+)
 from athrl.stopping import stop_on_signal
 
 if TYPE_CHECKING:
@@ -79,6 +87,7 @@ def watch(
             help="With --policy: write the episodes, by default one, to a rerun file, instead of a window.",
         ),
     ] = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Show an episode in rerun: live from the evaluator or an actor, or recorded.
 
@@ -90,6 +99,7 @@ def watch(
         raise CommandError(f"--bind {bind} is where --serve and --browser listen: add one of them")
     if policy is not None:
         _require_alone(what, "--browser" if browser else "--serve" if serve is not None else None, save)
+        _require_new(save, overwrite)
         _watch_policy(
             policy,
             _driven(town, vehicles),
@@ -101,7 +111,7 @@ def watch(
         )
         return
     of_policy: dict[str, object] = {"town": town, "vehicles": vehicles, "force": force or None}
-    of_policy |= {"episodes": episodes, "seed": seed, "save": save}
+    of_policy |= {"episodes": episodes, "seed": seed, "save": save, "overwrite": overwrite or None}
     for option in (option for option, value in of_policy.items() if value is not None):
         raise CommandError(f"--{option} is for watching a policy without a run: add --policy")
     _require_actor_or_recording(what)
@@ -147,6 +157,14 @@ def _require_alone(what: str | None, serving: str | None, save: Path | None) -> 
         raise CommandError(f"{serving} cannot be used with --save, which opens no viewer: leave one out")
 
 
+def _require_new(save: Path | None, overwrite: bool) -> None:
+    """Refuse to replace a file, unless that is asked for, and to ask for it without a file."""
+    if save is None and overwrite:
+        raise CommandError("--overwrite replaces the file of --save: add it")
+    if save is not None and save.exists() and not overwrite:
+        raise CommandError(f"--save {save}: exists already: name another file, or add --overwrite")
+
+
 def _driven(town: str | None, vehicles: int | None) -> EnvironmentSection:
     """The settings of what a driver is watched in; raises CommandError where it cannot be driven."""
     given = {"towns": town, "vehicles": vehicles}
@@ -169,7 +187,7 @@ def _watch_policy(
     with stop_on_signal() as stop:
         with needs("evaluator"):
             from athrl_evaluator.watching.watch_policy import watch_policy
-        watch_policy(
+        driven = watch_policy(
             driver,
             environment=section,
             forced=force,
@@ -179,3 +197,5 @@ def _watch_policy(
             save=save,
             stop=stop,
         )
+    if save is not None:
+        print(f"{save}: {counted(driven, 'episode')} of {policy} in {', '.join(section.towns)}")

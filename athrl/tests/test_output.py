@@ -10,7 +10,7 @@ import sys
 import pytest
 from athrl.display import Display
 from athrl.errors import CommandError
-from athrl.output import _HANDLER, accept_any_text, start_log
+from athrl.output import _HANDLER, accept_any_text, console, start_log
 from athrl.run_view import RunSnapshot
 from athrl.train.comparison import comparison_tables
 from athrl_protocol import (
@@ -25,6 +25,7 @@ from athrl_protocol import (
     serve_run_file,
 )
 from rich.console import Console
+from rich.table import Table
 
 PATIENCE = 120.0
 SCORES = {
@@ -134,3 +135,11 @@ def test_level_of_the_log_that_does_not_exist_is_named(monkeypatch: pytest.Monke
     monkeypatch.setenv("ATHRL_LOG", "loud")
     with pytest.raises(CommandError, match=r"^ATHRL_LOG=loud: should be debug, info, warning or error$"):
         start_log()
+
+
+def test_tables_show_names_of_files_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    table = Table(title="[bold]x.xodr", show_header=False)
+    table.add_row("[/red].xodr", ":car:.xodr")
+    console().print(table)
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in ("[bold]x.xodr", "[/red].xodr", ":car:.xodr"))

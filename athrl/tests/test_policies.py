@@ -88,6 +88,7 @@ def test_driver_that_there_is_not_is_told_in_one_line(folder: Path, policy: str,
         ({"town": "town02"}, "--town is for watching a policy without a run"),
         ({"force": ["intention=0"]}, "--force is for watching a policy without a run"),
         ({"save": Path("a.rrd")}, "--save is for watching a policy without a run"),
+        ({"policy": "blind", "overwrite": True}, "--overwrite replaces the file of --save"),
         ({"policy": "blind", "what": "one"}, "one cannot be used with --policy"),
         ({"policy": "blind", "save": Path("a.rrd"), "serve": 9999}, "--serve cannot be used with --save"),
         ({"policy": "blind", "town": "town3"}, "--town town3: "),
@@ -100,7 +101,16 @@ def test_watching_refuses_what_it_would_ignore(folder: Path, options: dict[str, 
     assert told in str(caught.value)
 
 
-def test_episodes_of_a_driver_are_saved_as_a_rerun_file(folder: Path) -> None:
+def test_episodes_of_a_driver_are_saved_as_a_rerun_file(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = folder / "seen.rrd"
     watch(policy="blind", town="town02", save=file, seed=3)
     assert b"car/ego/body" in file.read_bytes()
+    assert capsys.readouterr().out == f"{file}: 1 episode of blind in town02\n"
+    file.write_bytes(b"older")
+    with pytest.raises(CommandError, match=r"seen\.rrd: exists already: .* or add --overwrite"):
+        watch(policy="blind", town="town02", save=file)
+    assert file.read_bytes() == b"older"
+    watch(policy="blind", town="town02", save=file, overwrite=True)
+    assert file.read_bytes() != b"older"

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from athrl_evaluator import EvaluationSettings, evaluate_driver
+from athrl_evaluator.policies.shipped import shipped_policy
 from athrl_evaluator.recording.reading import read_driven, read_frames
 from athrl_evaluator.recording.recordings import EpisodeRecording
 from athrl_protocol.run_file import EnvironmentSection
@@ -38,6 +39,12 @@ def test_the_same_states_end_with_0(recording: Path) -> None:
     code, out, error = replay(recording)
     assert (code, error) == (0, "")
     assert out == f"{recording}: the same, bit for bit: 10 decisions (4.0 s) of blind in town02, seed 7\n"
+
+
+def test_a_policy_is_told_by_its_name(tmp_path: Path) -> None:
+    environment = EnvironmentSection(towns="town02", vehicles=0, episode_ticks=8)
+    evaluate_driver(shipped_policy("towns"), EvaluationSettings(2, 7, environment), record=tmp_path)
+    assert " of policy towns in town02, seed 7" in replay(tmp_path / "towns-seed-7.mcap")[1]
 
 
 def test_a_name_that_would_steer_a_terminal_is_shown_in_one_line(recording: Path, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from athrl.errors import CommandError
-from athrl_protocol.run_file import read_run_file, to_toml
+from athrl_protocol.run_file import read_run_file, saved_toml, to_toml, with_whole_maps
 
 from athrl import runs
 
@@ -106,3 +106,15 @@ def test_whole_run_file_does_not_make_the_run_forget_its_maps(tmp_path: Path) ->
     (tmp_path / "given.toml").write_text(to_toml(run_file))
     settings, _ = runs.resumed_settings(str(tmp_path / "mine"), [], tmp_path / "given.toml")
     assert settings.run.map_checksums == checksums
+
+
+def test_run_that_goes_on_in_another_town_says_so_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "m.xodr").write_text("<OpenDRIVE/>")
+    began = with_whole_maps(read_run_file(None, [f"environment.towns={tmp_path}/m.xodr"]))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "run.toml").write_text(saved_toml(began))
+    for towns, told in (("random-7", f"was {tmp_path}/m.xodr, is random-7"), (f"{tmp_path}/m.xodr", "")):
+        settings, folder = runs.resumed_settings(str(tmp_path / "mine"), [f"environment.towns={towns}"])
+        said = runs.told_other_towns(folder, settings)
+        assert said.endswith(told)
+        assert bool(told) == (said != "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import shutil
 import sqlite3
 import threading
 import tomllib
@@ -15,9 +16,10 @@ from athrl.errors import CommandError
 from athrl.runs import declare_installed_planners
 from athrl.study.file import StudyFile, read_study_file
 from athrl.study.folder import StudyFolder
-from athrl.study.places import require_places
+from athrl.study.places import require_places, require_room_at_home
 from athrl.study.plan import PlannedRun, planned_runs, require_search
 from athrl.study.search import Search
+from athrl_driving.maps.town import _FOLDER as TOWNS
 from athrl_protocol.run_file import declare_planners, declared_planners, read_run_file
 from athrl_protocol.run_file.toml_values import to_toml_value
 
@@ -27,6 +29,7 @@ GOOD: dict[str, Any] = {
     "study": {"name": "one", "seeds": [1, 2]},
     "grid": [{"planners": ["ddpg", "hddpg"], "towns": ["town03"]}],
 }
+MANY = "environment.vehicles=5000"
 SEARCH = {"trials": 3, "ranges": {"planner.n_step": {"low": 1, "high": 4}}}
 
 
@@ -62,8 +65,9 @@ def to_toml(value: Any) -> str:
 
 def read(path: Path) -> tuple[StudyFile, list[PlannedRun]]:
     study = read_study_file(path)
-    require_places(path, study)
-    return study, planned_runs(path, study)
+    planned = planned_runs(path, study)
+    require_places(path, study, planned)
+    return study, planned
 
 
 def elsewhere(**place: Any) -> dict[str, Any]:
@@ -86,26 +90,43 @@ def changed(**changes: Any) -> dict[str, Any]:
         (changed(planners=["ddpg", "ddpg"]), '"ddpg" appears twice, it should appear once'),
         (changed(run_file="../{pilot}.toml"), "should be a path that has {planner} and {town} alone"),
         (changed(run_file="no-such-{planner}.toml"), "no-such-ddpg.toml: cannot be read"),
-        (changed(town="town03"), "grid.0.town is no key of a study"),
+        (changed(town="town03"), "grid number 1, town is no key of a study"),
         (
             {**GOOD, "study": {"name": "one", "seeds": list(range(6000))}},
             "has 12,000 runs, should have at most",
         ),
         (changed(towns=["town02", ["town02", "town3"]]), "there is no town named 'town3'"),
         (changed(towns=[["town02", "town02"]]), '"town02" appears twice'),
-        (elsewhere(town="town3"), "elsewhere.0.town: there is no town named 'town3', did you mean 'town03'?"),
-        (elsewhere(town="town03", vehicles=5000), "elsewhere.0.vehicles = 5000: town03 has room for"),
+        (elsewhere(town="town3"), "elsewhere number 1, town: there is no town named 'town3', did you"),
+        (elsewhere(town="town03", vehicles=5000), "elsewhere number 1, vehicles = 5000: town03 has room for"),
         (elsewhere(case_study="roundabut"), '"roundabut" is no case study, it should be roundabout'),
         (elsewhere(), '"there" should have a town or a case_study, one of the two'),
         (elsewhere(town="town03", case_study="roundabout"), "one of the two"),
         (elsewhere(case_study="roundabout", vehicles=3), "a case study has its own vehicles"),
         (
             {**GOOD, "elsewhere": 2 * elsewhere(town="town02")["elsewhere"]},
-            'elsewhere.1.name: "there" appears twice, it should appear once',
+            'elsewhere number 2, name: "there" appears twice, it should appear once',
         ),
         ({"study": GOOD["study"]}, "grid is missing"),
         ({**GOOD, "study": {"name": "one", "seeds": []}}, "study.seeds = []: "),
-        ({**GOOD, "study": {"name": "No name"}}, 'study.name = "No name": '),
+        (
+            {**GOOD, "study": {"name": "No name"}},
+            'study.name = "No name": should be a name of at most 31 characters: a-z, 0-9, _ and -',
+        ),
+        (
+            {**GOOD, "elsewhere": [{"name": "other random", "town": "random-7"}]},
+            'elsewhere number 1, name = "other random": should be a name of at most 31 characters',
+        ),
+        (changed(towns=["town02", 3]), "grid number 1, towns number 2"),
+        (changed(settings=[MANY]), "ddpg-town03-1: environment.vehicles is 5000, town03 has room for"),
+        (
+            {
+                **changed(towns=["town04"], settings=["environment.vehicles=800"]),
+                "elsewhere": [{"name": "there", "town": "town02"}],
+            },
+            "elsewhere number 1: has no vehicles of its own and ddpg-town04-1 has environment.vehicles = "
+            "800, town02 has room for",
+        ),
         ({**GOOD, "study": {"name": "one", "drivers": ["rulebased"]}}, '"rulebased" is no driver'),
         (
             {**GOOD, "grid": [*GOOD["grid"], {"planners": ["ddpg"], "towns": ["town03"], "seeds": [2]}]},
@@ -140,6 +161,24 @@ def test_wrong_search_is_refused_in_one_line(tmp_path: Path, search: Any, told: 
     with pytest.raises(CommandError) as error:
         require_search(path, read(path)[0])
     assert told in str(error.value)
+
+
+def test_search_for_more_vehicles_than_a_town_has_room_for_is_refused(tmp_path: Path) -> None:
+    ranges = {"environment.vehicles": {"low": 10, "high": 5000}}
+    path = written(tmp_path, {**GOOD, "search": {**SEARCH, "ranges": ranges}})
+    with pytest.raises(CommandError, match=r"environment\.vehicles is 5000, town03 has room for \d+ at most"):
+        require_room_at_home(path, require_search(path, read(path)[0]))
+
+
+def test_two_maps_of_one_name_are_refused_with_a_remedy(tmp_path: Path) -> None:
+    maps = [tmp_path / folder / "m.xodr" for folder in ("a", "b")]
+    for path in maps:
+        path.parent.mkdir()
+        shutil.copy(TOWNS / "town02.xodr", path)
+    with pytest.raises(CommandError) as refused:
+        read(written(tmp_path, changed(planners=["athrl"], towns=list(map(str, maps)))))
+    for told in (*map(str, maps), "would both be named athrl-m-1", "rename a map or a variant"):
+        assert told in str(refused.value)
 
 
 def test_every_row_has_a_run_before_any_has_its_second(tmp_path: Path) -> None:

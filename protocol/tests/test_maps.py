@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from athrl_protocol import RunFile, RunFileError, join_run, read_run_file, serve_run_file
-from athrl_protocol.run_file import require_same_maps, saved_toml, with_whole_maps
+from athrl_protocol.run_file import are_other_towns, require_same_maps, saved_toml, with_whole_maps
 
 CONTENT = b"<OpenDRIVE/>"
 CHECKSUM = hashlib.sha256(CONTENT).hexdigest()
@@ -79,9 +79,53 @@ def test_other_map_under_another_name_replaces_path_and_checksum(run_file: RunFi
     assert changed.run.map_checksums == {str(other): hashlib.sha256(b"other").hexdigest()}
 
 
+def resumed_in(run_file: RunFile, *towns: str) -> RunFile:
+    """The settings of a run with other towns."""
+    environment = run_file.environment.model_copy(update={"towns": dict.fromkeys(towns, 1.0)})
+    return run_file.model_copy(update={"environment": environment})
+
+
+def test_moved_map_is_the_same_town_also_under_another_name(run_file: RunFile, map_file: Path) -> None:
+    for name in ("m.xodr", "renamed.xodr"):
+        (map_file.parent / "new").mkdir(exist_ok=True)
+        moved = map_file.parent / "new" / name
+        moved.write_bytes(CONTENT)
+        assert not are_other_towns(run_file, resumed_in(run_file, f"maps/new/{name}", "town03"))
+    assert not are_other_towns(run_file, resumed_in(run_file, "town03", "maps/m.xodr"))
+
+
+def test_other_content_under_the_name_of_a_moved_map_is_refused_with_both(
+    run_file: RunFile, map_file: Path
+) -> None:
+    moved = map_file.parent.with_name("moved") / "m.xodr"
+    moved.parent.mkdir()
+    moved.write_bytes(b"other")
+    said = refusal(
+        lambda resumed: are_other_towns(run_file, resumed), resumed_in(run_file, str(moved), "town03")
+    )
+    other = hashlib.sha256(b"other").hexdigest()
+    assert f"{moved} (SHA-256 {other[:12]}...) is another map than {map_file}" in said
+    assert f"({CHECKSUM[:12]}...)" in said
+
+
+def test_town_or_map_of_another_name_is_another_town(run_file: RunFile, map_file: Path) -> None:
+    map_file.with_name("other.xodr").write_bytes(b"other")
+    for towns in (
+        ["random-7", "town03"],
+        ["maps/other.xodr", "town03"],
+        ["maps/m.xodr"],
+        ["maps/m.xodr", "town02"],
+    ):
+        assert are_other_towns(run_file, resumed_in(run_file, *towns))
+    assert are_other_towns(run_file, resumed_in(run_file, "maps/m.xodr", "town03", "town02"))
+
+
 def test_one_map_by_two_names_and_a_folder_as_a_map_are_refused(map_file: Path) -> None:
-    twice = read_run_file(None, ['environment.towns=["maps/m.xodr", "maps/../maps/m.xodr"]'])
-    assert "appears twice" in refusal(with_whole_maps, twice)
+    for paths in ('["maps/m.xodr", "maps/../maps/m.xodr"]', f'["maps/m.xodr", "{map_file}"]'):
+        with pytest.raises(
+            RunFileError, match=r'has "maps/m.xodr" twice, also as ".*: should have each town'
+        ):
+            read_run_file(None, [f"environment.towns={paths}"])
     map_file.with_name("folder.xodr").mkdir()
     folder = read_run_file(None, ["environment.towns=maps/folder.xodr"])
     assert "is no file" in refusal(with_whole_maps, folder)

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from athrl.errors import CommandError, needs
 from athrl.maps import report
 from athrl.options import JsonOption
+from athrl.output import console
 
 maps = typer.Typer(help="List the included towns; check a map of your own.")
 
@@ -77,7 +77,7 @@ def check(
     if as_json:
         print(json.dumps(report.plain(facts, suggested, trial, picture)))
     else:
-        Console(soft_wrap=True, highlight=False).print(report.table(facts, suggested, trial, picture))
+        console(soft_wrap=True).print(report.table(facts, suggested, trial, picture))
 
 
 def _check_picture(picture: Path) -> None:

@@ -25,7 +25,7 @@ from athrl.study.curves import picture
 from athrl.study.file import StudyFile, read_study_file
 from athrl.study.folder import StudyFolder
 from athrl.study.grid import GridRunner
-from athrl.study.places import require_places
+from athrl.study.places import require_places, require_room_at_home
 from athrl.study.plan import PlannedRun, planned_runs, require_search
 from athrl.study.runs import Stopped
 from athrl.study.search import Search, search_table
@@ -63,9 +63,9 @@ def study(
     _take_settings_from_the_file_alone()
     wanted = read_study_file(file)
     planned = planned_runs(file, wanted)
-    require_places(file, wanted)
+    require_places(file, wanted, planned)
     if optimise:
-        require_search(file, wanted)
+        require_room_at_home(file, require_search(file, wanted))
         if jobs > 1:
             raise CommandError(
                 f"--jobs {jobs}: with --optimise a worker has one run at once; start more workers instead"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,6 +31,8 @@ SCORES = (
 MOST_RUNS = 10_000
 
 _NAME = r"^[a-z0-9][a-z0-9_-]{0,30}$"
+_NAMES = "a name of at most 31 characters: a-z, 0-9, _ and -, not _ or - first"
+"""What `_NAME` says."""
 
 
 class StudyFileError(CommandError):
@@ -197,10 +200,26 @@ def read_study_file(path: Path) -> StudyFile:
         raise StudyFileError(f"{path}: {_describe(error)}") from None
 
 
+def numbered(table: str, index: int) -> str:
+    """Return how an error names one of several tables, or values, counted from 1."""
+    return f"{table} number {index + 1}"
+
+
+def _key(parts: Sequence[int | str]) -> str:
+    """Return where something is in the file, such as `grid number 2, towns number 1`."""
+    key = ""
+    for before, part in zip(("", *parts), parts, strict=False):
+        if isinstance(part, int):
+            key = numbered(key, part)
+        else:
+            key += f"{', ' if isinstance(before, int) else '.' if key else ''}{part}"
+    return key
+
+
 def _describe(error: ValidationError) -> str:
     """Return the first fault: the key, its value unless it is missing, and what it should be."""
     detail = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in detail["loc"]) or "the file"
+    key = _key(detail["loc"]) or "the file"
     match detail["type"]:
         case "missing":
             return f"{key} is missing"
@@ -208,6 +227,8 @@ def _describe(error: ValidationError) -> str:
             return f"{key} is no key of a study"
         case "value_error" | "assertion_error":
             return one_line(f"{key}: {detail['msg'].partition(', ')[2]}")
+        case "string_pattern_mismatch":
+            return one_line(f"{key} = {show(detail['input'])}: should be {_NAMES}")
         case _:
             should = detail["msg"].removeprefix("Input ")
             return one_line(f"{key} = {show(detail['input'])}: {should}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from athrl_protocol.run_file.sections import EnvironmentSection
 from athrl_protocol.run_file.toml_values import show, to_toml_value
 
 from athrl.errors import needs
-from athrl.study.file import ElsewhereSection, StudyFile, StudyFileError
+from athrl.study.file import ElsewhereSection, StudyFile, StudyFileError, numbered
 from athrl.study.plan import PlannedRun, require_town
 
 _OF_A_CASE_STUDY = frozenset({"towns", "vehicles", "episode_ticks"})
@@ -63,30 +64,75 @@ def elsewhere(study: StudyFile, section: ElsewhereSection) -> Place:
     return Place(towns, section.case_study, section.vehicles, episodes, study.scoring.first_seed)
 
 
-def require_places(path: Path, study: StudyFile) -> None:
-    """Check the places of a study.
+def require_places(path: Path, study: StudyFile, runs: Sequence[PlannedRun]) -> None:
+    """Check the places of a study: those of its runs, and elsewhere.
 
     Raises:
         StudyFileError: two have one name, a town is none or has too little room.
     """
+    require_room_at_home(path, runs)
     names: set[str] = set()
     for number, section in enumerate(study.elsewhere):
-        place = f"{path}: elsewhere.{number}"
+        place = f"{path}: {numbered('elsewhere', number)}"
         if section.name in names:
-            raise StudyFileError(f"{place}.name: {show(section.name)} appears twice, it should appear once")
+            raise StudyFileError(f"{place}, name: {show(section.name)} appears twice, it should appear once")
         names.add(section.name)
         if section.town is not None:
-            require_town(f"{place}.town", section.town)
-            _require_room(place, section.town, section.vehicles or 0)
+            require_town(f"{place}, town", section.town)
+            _require_room_elsewhere(place, section, section.town, runs)
 
 
-def _require_room(place: str, town: str, vehicles: int) -> None:
+def require_room_at_home(path: Path, runs: Sequence[PlannedRun]) -> None:
+    """Raise StudyFileError for a run whose town has too little room, or cannot be read as it says."""
+    for (town, strict, vehicles), run in _worlds(runs).items():
+        place = f"{path}: {run.name}"
+        room = _room(place, town, strict)
+        if vehicles > room:
+            raise StudyFileError(
+                f"{place}: environment.vehicles is {vehicles}, {town} has room for {room} at most"
+            )
+
+
+def _worlds(runs: Sequence[PlannedRun]) -> dict[tuple[str, bool, int], PlannedRun]:
+    """Return the first run of each town, way to read it and number of vehicles."""
+    found: dict[tuple[str, bool, int], PlannedRun] = {}
+    for run in runs:
+        environment = run.settings.environment
+        for town in run.row.towns:
+            found.setdefault((town, environment.strict_map, environment.vehicles), run)
+    return found
+
+
+def _require_room_elsewhere(
+    place: str, section: ElsewhereSection, town: str, runs: Sequence[PlannedRun]
+) -> None:
+    """Check the room of a place for its own vehicles, or else for those of each run that is scored there."""
+    kinds = {(run.settings.environment.strict_map, _vehicles(section, run)): run for run in reversed(runs)}
+    for (strict, vehicles), run in kinds.items():
+        room = _room(place, town, strict)
+        if vehicles <= room:
+            continue
+        if section.vehicles is not None:
+            raise StudyFileError(f"{place}, vehicles = {vehicles}: {town} has room for {room} at most")
+        raise StudyFileError(
+            f"{place}: has no vehicles of its own and {run.name} has environment.vehicles = {vehicles}, "
+            f"{town} has room for {room} at most: give vehicles here"
+        )
+
+
+def _vehicles(section: ElsewhereSection, run: PlannedRun) -> int:
+    return run.settings.environment.vehicles if section.vehicles is None else section.vehicles
+
+
+def _room(place: str, town: str, strict: bool) -> int:
+    """Return for how many vehicles a town has room; raises StudyFileError where it cannot be read so."""
     with needs("evaluator"):
         from athrl_driving.maps import load_town
         from athrl_driving.traffic import starting_places
-    room = starting_places(load_town(town))
-    if vehicles > room:
-        raise StudyFileError(f"{place}.vehicles = {vehicles}: {town} has room for {room} at most")
+    try:
+        return starting_places(load_town(town, strict=strict))
+    except ValueError as error:
+        raise StudyFileError(f"{place}: {error}") from None
 
 
 def _setting(name: str, value: object) -> tuple[str, str]:

@@ -16,7 +16,7 @@ from athrl_protocol.run_file.toml_values import show, to_toml_value
 from athrl_spaces import town_seed
 
 from athrl.errors import CommandError, needs
-from athrl.study.file import MOST_RUNS, GridSection, StudyFile, StudyFileError
+from athrl.study.file import MOST_RUNS, GridSection, StudyFile, StudyFileError, numbered
 
 _FIXED = ("run.name", "run.folder", "run.seed", "planner.kind", "environment.towns", "network.listen")
 """Settings that the study gives each run itself."""
@@ -76,7 +76,7 @@ def planned_runs(path: Path, study: StudyFile, prefix: str = "") -> list[Planned
         raise StudyFileError(f"{path}: has {count:,} runs, should have at most {MOST_RUNS:,}")
     found: list[tuple[int, PlannedRun]] = []
     for number, grid in enumerate(study.grid):
-        found += _of_grid(f"{path}: grid.{number}", path.parent, study, grid, prefix)
+        found += _of_grid(f"{path}: {numbered('grid', number)}", path.parent, study, grid, prefix)
     runs = [run for _, run in sorted(found, key=lambda each: each[0])]
     _require_different(path, runs)
     return runs
@@ -94,9 +94,9 @@ def _of_grid(
     for planner in grid.planners:
         wrong = kind_error(planner)
         if wrong is not None:
-            raise StudyFileError(f"{place}.planners: {show(planner)}: {wrong}")
+            raise StudyFileError(f"{place}, planners: {show(planner)}: {wrong}")
     for town in dict.fromkeys(town for towns in grid.towns for town in towns):
-        require_town(f"{place}.towns", town)
+        require_town(f"{place}, towns", town)
     for towns in grid.towns:
         for planner in grid.planners:
             for variant, changes in grid.variants.items():
@@ -174,26 +174,39 @@ def _require_free(place: str, given: Sequence[str]) -> None:
 
 
 def _require_different(path: Path, runs: Sequence[PlannedRun]) -> None:
-    seen: dict[str, Row] = {}
+    """Refuse a run that appears twice, and two whose names are one: of names some signs are left out."""
+    seen: dict[str, PlannedRun] = {}
     for run in runs:
-        if run.name in seen:
-            row = run.row
-            variant = f", variant {row.variant}" if row.variant else ""
+        other = seen.setdefault(run.name, run)
+        if other is run:
+            continue
+        if other.row == run.row:
             raise StudyFileError(
-                f"{path}: {row.planner} in {row.town} with seed {run.seed}{variant} appears twice as "
-                f"{run.name}, it should appear once"
+                f"{path}: {_in_words(run)} appears twice as {run.name}, it should appear once"
             )
-        seen[run.name] = run.row
+        raise StudyFileError(
+            f"{path}: {_in_words(other)} and {_in_words(run)} would both be named {run.name}: a name has a "
+            "map's file name alone, and - for other signs than a-z, 0-9, _; rename a map or a variant"
+        )
 
 
-def require_search(path: Path, study: StudyFile) -> None:
+def _in_words(run: PlannedRun) -> str:
+    variant = f", variant {run.row.variant}" if run.row.variant else ""
+    return f"{run.row.planner} in {run.row.town} with seed {run.seed}{variant}"
+
+
+def require_search(path: Path, study: StudyFile) -> list[PlannedRun]:
     """Check the table of a search: that there is one, and that each range is of a setting of every run.
+
+    Returns:
+        The runs at both ends of each range of an environment's setting, which may have too little room.
 
     Raises:
         StudyFileError: it is missing, or a range is not valid; names the setting.
     """
     if study.search is None:
         raise StudyFileError(f"{path}: [search] is missing, which --optimise needs")
+    found: list[PlannedRun] = []
     for name, wanted in study.search.ranges.items():
         ends = wanted if isinstance(wanted, list) else [wanted.low, wanted.high]
         for value in ends:
@@ -201,7 +214,9 @@ def require_search(path: Path, study: StudyFile) -> None:
             _require_free(f"{path}: search.ranges", [setting])
             changed = [grid.model_copy(update={"settings": [*grid.settings, setting]}) for grid in study.grid]
             try:
-                planned_runs(path, study.model_copy(update={"grid": changed}))
+                runs = planned_runs(path, study.model_copy(update={"grid": changed}))
             except CommandError as error:
                 said = str(error).removeprefix(f"{path}: ").partition(": ")[2]
                 raise StudyFileError(f"{path}: search.ranges: {said}") from None
+            found += runs if name.startswith("environment.") else []
+    return found

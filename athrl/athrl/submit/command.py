@@ -143,8 +143,9 @@ def _settings(run_file: Path | None, given: list[str]) -> RunFile:
     folder = runs.folder_asked_for(run_file, given)
     if runs.holds_run(folder):
         wanted, _ = runs.resumed_settings(str(folder), given, run_file)
+        other_towns = runs.told_other_towns(folder, wanted)
     else:
-        wanted = runs.new_settings(run_file, given)
+        wanted, other_towns = runs.new_settings(run_file, given), ""
     if wanted.serial.enabled:
         raise CommandError("a serial run is one process: submit `athrl train --serial` as a job of your own")
     if wanted.network.certificates:
@@ -153,6 +154,8 @@ def _settings(run_file: Path | None, given: list[str]) -> RunFile:
             "its folder: leave it out"
         )
     require_world(wanted.environment)
+    if other_towns:
+        say(other_towns)
     return wanted
 
 

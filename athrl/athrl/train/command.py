@@ -110,10 +110,13 @@ def train(
     runs.declare_installed_planners()
     given = [*overrides(settings), *(["serial.enabled=true"] if serial else [])]
     plan = _plan(run_file, given, name, resume)
+    other_towns = runs.told_other_towns(plan.folder, plan.settings) if plan.resume else ""
     _require_fitting(plan, actors, viewer_port, stop_at)
     if _said_finished(plan):
         return
     require_world(plan.settings.environment)
+    if other_towns:
+        say(other_towns)
     began = time.time()
     if plan.settings.serial.enabled:
         finished = _run_serially(plan, stop_at)
@@ -124,7 +127,7 @@ def train(
         say(f"stopped; to continue: {_to_continue(plan, actors, viewer_port)}")
         raise typer.Exit(INTERRUPTED)
     for table in comparison_tables(read_comparison(plan.folder, since=began)):
-        Console().print(table)
+        Console(emoji=False).print(table)
     print(f"policy: {plan.folder / 'policies' / 'latest.onnx'}")
 
 

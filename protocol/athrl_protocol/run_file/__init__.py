@@ -8,9 +8,9 @@ from athrl_protocol.run_file.documentation import (
     settings,
     to_toml,
 )
-from athrl_protocol.run_file.maps import require_same_maps, with_whole_maps
+from athrl_protocol.run_file.maps import are_other_towns, require_same_maps, with_whole_maps
 from athrl_protocol.run_file.planner_tables import PlannerSection, declare_planners, declared_planners
-from athrl_protocol.run_file.reading import read_run_file
+from athrl_protocol.run_file.reading import OverrideFrom, read_run_file
 from athrl_protocol.run_file.reference import reference_page
 from athrl_protocol.run_file.root import RunFile
 from athrl_protocol.run_file.sections import (
@@ -34,12 +34,14 @@ __all__ = [
     "LearnerSection",
     "MetricsSection",
     "NetworkSection",
+    "OverrideFrom",
     "PlannerSection",
     "ReplaySection",
     "RunFile",
     "RunSection",
     "SerialSection",
     "Setting",
+    "are_other_towns",
     "declare_planners",
     "declared_planners",
     "default_toml",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from athrl_spaces import is_town
 from athrl_spaces.wording import system_reason
@@ -54,8 +54,42 @@ def require_same_maps(run_file: RunFile) -> None:
     Raises:
         RunFileError: a map of the run is not on this machine, or is another one.
     """
-    for path in _maps(run_file.environment.towns):
+    for path in map(_whole_path, _maps(run_file.environment.towns)):
         _checked(path, run_file.run.map_checksums.get(path))
+
+
+def are_other_towns(before: RunFile, now: RunFile) -> bool:
+    """Return whether a resumed run is to drive in other towns than before; a moved map is the same town.
+
+    Args:
+        before: settings of the run, with whole paths and checksums of its maps.
+        now: those with which it is resumed.
+
+    Raises:
+        RunFileError: a map has the file name of one that it replaces, and another content, or is not here.
+    """
+    was, wanted = before.environment.towns, set(map(_whole_path, now.environment.towns))
+    gone = {path: before.run.map_checksums.get(path) for path in was if path not in wanted}
+    new = {path: _moved_from(path, gone) for path in wanted if path not in was}
+    return None in new.values() or set(gone) != set(new.values())
+
+
+def _moved_from(path: str, gone: dict[str, str | None]) -> str | None:
+    """Return the path of which a new map has the content, and maybe the name; None for another town."""
+    known = {old: checksum for old, checksum in gone.items() if checksum is not None}
+    if not known or is_town(path):
+        return None
+    found = _checksum(Path(path))
+    for old, checksum in known.items():
+        if checksum == found:
+            return old
+    for old, checksum in known.items():
+        if PurePath(old).name == PurePath(path).name:
+            raise RunFileError(
+                f"environment.towns: {path} (SHA-256 {found[:_DIGITS_SHOWN]}...) is another map than {old} "
+                f"of the run ({checksum[:_DIGITS_SHOWN]}...): give the same map, or one of another file name"
+            )
+    return None
 
 
 def _maps(towns: dict[str, float]) -> list[str]:

@@ -41,6 +41,18 @@ class _Override:
     """Where it was given, for a message."""
 
 
+class OverrideFrom(str):
+    """An override that errors name by the place where it was given, instead of `--set`."""
+
+    def __new__(cls, text: str, origin: str) -> OverrideFrom:
+        """Keep the text with its place."""
+        found = super().__new__(cls, text)
+        found.origin = origin
+        return found
+
+    origin: str
+
+
 def read_run_file(
     path: str | Path | None,
     overrides: Sequence[str] = (),
@@ -139,13 +151,17 @@ def _require_every_setting(values: dict[str, Any], source: str) -> None:
 
 def _parse_override(text: str) -> _Override:
     name, equals, value = text.partition("=")
-    name, text = name.strip(), one_short_line(text)
+    origin = text.origin if isinstance(text, OverrideFrom) else "--set"
+    name, place = name.strip(), f"{origin} {one_short_line(text)}"
     section, _, key = name.partition(".")
     if not equals or not name:
-        raise RunFileError(f"--set {text}: should look like section.key=value, for instance learner.batch=64")
+        quotes = "; quotes hold a value with a space together" if origin != "--set" else ""
+        raise RunFileError(
+            f"{place}: should look like section.key=value, for instance learner.batch=64{quotes}"
+        )
     if not section or not key:
-        KnownNames(default_kind()).check_setting(name, f"--set {text}")
-    return _Override(name, _parse_value(name, value.strip(), f"--set {text}"), f"--set {text}")
+        KnownNames(default_kind()).check_setting(name, place)
+    return _Override(name, _parse_value(name, value.strip(), place), place)
 
 
 def _parse_value(name: str, text: str, place: str) -> Any:

@@ -16,7 +16,7 @@ from athrl_protocol.errors import ProtocolError
 from athrl_protocol.monitoring.address import EXPECTED as EXPECTED_METRICS_ADDRESS
 from athrl_protocol.monitoring.address import metrics_address
 from athrl_protocol.run_file.section import Section
-from athrl_protocol.run_file.towns import EXPECTED, EXPECTED_CHECKSUMS, MapChecksums, Towns
+from athrl_protocol.run_file.towns import EXPECTED, EXPECTED_CHECKSUMS, MOST_TOWNS, MapChecksums, Towns
 from athrl_protocol.transport.address import split_address
 
 LONGEST_SECONDS = 1e9
@@ -71,7 +71,8 @@ class EnvironmentSection(Section):
     towns: Towns = Field(
         default={"town03": 1.0},
         description="Towns to drive in: town02, town03, town04, a random one as random-7, or the path of "
-        "an OpenDRIVE file, PATH.xodr; several with their shares of an actor's environments, "
+        "an OpenDRIVE file, PATH.xodr; up to "
+        f"{MOST_TOWNS} with their shares of an actor's environments, "
         "{town03 = 2.0, town04 = 1.0}.",
         json_schema_extra={"expected": EXPECTED},
     )

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -46,7 +47,9 @@ def read_towns(value: Any) -> dict[str, float]:
         raise ValueError(f"should be {EXPECTED}")
     if not 1 <= len(shares) <= MOST_TOWNS:
         raise ValueError(f"has {len(shares)} towns, should have 1 to {MOST_TOWNS}")
-    return {_town(name): _share(name, share) for name, share in shares.items()}
+    towns = {_town(name): _share(name, share) for name, share in shares.items()}
+    _require_each_map_once(list(towns))
+    return towns
 
 
 def _equal_shares(towns: list[Any]) -> dict[Any, float]:
@@ -56,6 +59,18 @@ def _equal_shares(towns: list[Any]) -> dict[Any, float]:
         if towns.count(town) > 1:
             raise ValueError(f"has {_quoted(town)} twice, should have each town once; a table gives shares")
     return dict.fromkeys(towns, 1.0)
+
+
+def _require_each_map_once(towns: list[str]) -> None:
+    """Refuse two paths of one map, which would count as two towns."""
+    seen: dict[str, str] = {}
+    for town in towns:
+        other = seen.setdefault(town if is_town(town) else os.path.abspath(os.path.expanduser(town)), town)
+        if other is not town:
+            raise ValueError(
+                f"has {_quoted(other)} twice, also as {_quoted(town)}: should have each town once; a table "
+                "gives shares"
+            )
 
 
 def _town(name: Any) -> str:

@@ -10,9 +10,10 @@ from pathlib import Path
 from athrl_driving.policy import OnnxPolicy
 from athrl_protocol.run_file import ActorSection, EnvironmentSection
 from athrl_spaces import REFERENCE_DRIVERS
+from athrl_spaces.untrusted import one_line
 
 from athrl_evaluator.errors import EvaluatorError
-from athrl_evaluator.observers import Recorder
+from athrl_evaluator.observers import Recorder, recording_path
 from athrl_evaluator.policies.files import load_policy
 from athrl_evaluator.scoring.drivers import BatchDriver, GreedyPolicy, ReferenceDriver
 from athrl_evaluator.scoring.environments import Environments, environment_for, require_fitting, town_labels
@@ -57,7 +58,8 @@ def evaluate_driver(
     Args:
         driver: a policy, a policy file, or one of REFERENCE_DRIVERS by name.
         settings: what is driven.
-        record: folder in which each episode is recorded as an MCAP file, named after the policy's file.
+        record: folder in which each episode is recorded as an MCAP file, named after the policy's file;
+            one that is there is replaced.
         observers: notified of every step.
 
     Raises:
@@ -76,18 +78,32 @@ def evaluate_driver(
         labels, results = town_labels(environments.towns), list[EpisodeResult]()
         for town in environments.towns:
             batch_driver = make_batch_driver(who, count, forced=settings.forced)
+            if isinstance(driver, Path):
+                batch_driver.name = one_line(driver.stem)  # as frames tell who drove
             observing = list(observers)
             if record is not None:
-                named = [driver.stem if isinstance(driver, Path) else batch_driver.name]
-                named += [labels[town]] if len(labels) > 1 else []
+                named = "-".join([_name(driver), *([labels[town]] if len(labels) > 1 else [])])
                 recorder = Recorder(
-                    batch_driver, record, episodes=len(seeds), kept=None, needed=True, named="-".join(named)
+                    batch_driver, record, episodes=len(seeds), kept=None, needed=True, named=named
                 )
                 stack.callback(recorder.close)
                 observing.insert(0, recorder)
             batch = environments.batch(town, batch_driver.action_kind)
             results += drive_episodes(batch_driver, batch, seeds, observing)
         return score(results)
+
+
+def recordings_of(driver: Path | str, settings: EvaluationSettings, folder: Path) -> list[Path]:
+    """The files into which `evaluate_driver` records the episodes of one town or case study."""
+    seeds = range(settings.seed, settings.seed + settings.episodes)
+    return [recording_path(folder, _name(driver), seed) for seed in seeds]
+
+
+def _name(driver: OnnxPolicy | Path | str) -> str:
+    """The driver in the names of its recordings."""
+    if isinstance(driver, OnnxPolicy):
+        return GreedyPolicy.name
+    return driver.stem if isinstance(driver, Path) else driver
 
 
 def fitted(

@@ -67,7 +67,7 @@ class Recorder(EpisodeObserver):
         with self._given_up_on_write_error():
             if step.index not in self._open:
                 self._open[step.index] = EpisodeRecording(
-                    self._folder / f"{self._named}-seed-{step.seed}.mcap",
+                    recording_path(self._folder, self._named, step.seed),
                     Origin.of(step.environment, step.seed),
                 )
             self._open[step.index].write(frame, step.action)
@@ -100,6 +100,11 @@ class Recorder(EpisodeObserver):
             self._warn(f"{error}; this evaluation is not recorded any more")
             self.close()
             self._gave_up = True
+
+
+def recording_path(folder: Path, named: str, seed: int) -> Path:
+    """The file of an episode's recording."""
+    return folder / f"{named}-seed-{seed}.mcap"
 
 
 def name_of(driver: BatchDriver) -> str:

@@ -17,6 +17,11 @@ from athrl_evaluator.scoring.case_studies import case_study_settings
 _SETTING_OF_KEY = {"vehicles": "vehicles_count"}
 """Keys of the run file that have another name among an environment's settings."""
 
+FIXED_BY_POLICY = frozenset(
+    ("image_size", "maximum_speed", "waypoint_radius", "waypoint_half_angle", "speed_gain")
+)
+"""Keys of the run file whose values follow from the policy that drives."""
+
 
 class Environments:
     """Batches of environments by town and kind of action; each is made when it is first needed.

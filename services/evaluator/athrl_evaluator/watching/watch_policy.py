@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import count, islice
 from pathlib import Path
 
@@ -76,8 +76,11 @@ def watch_policy(
     server: Server | None = None,
     save: Path | None = None,
     stop: threading.Event,
-) -> None:
+) -> int:
     """Drive one episode after another and show them in real time until stopped or closed.
+
+    Returns:
+        The number of episodes that were driven to their end.
 
     Args:
         driver: a policy file, or one of REFERENCE_DRIVERS by name.
@@ -108,11 +111,12 @@ def watch_policy(
         drawing = LiveDrawing(
             batch_driver, SceneDrawing(stream), lambda: stop.is_set() or closed(), paced=save is None
         )
-        try:
+        driven = 0
+        with suppress(Stopped):
             for each in islice(count(seed), episodes):
                 drive_episodes(batch_driver, batch, [each], [drawing], stop)
-        except Stopped:
-            pass
+                driven += 1
+        return driven
 
 
 @contextmanager
