@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from athrl_spaces import REFERENCE_DRIVERS
 from athrl_spaces.untrusted import one_line
 from athrl_spaces.wording import system_reason
 
@@ -62,8 +61,7 @@ def _facts(verdict: Verdict) -> dict[str, object]:
 
 def _text(verdict: Verdict) -> str:
     """The verdict in one line."""
-    known = (*REFERENCE_DRIVERS, "policy")
-    driver = verdict.driver if verdict.driver in known else f"policy {verdict.driver}"
+    driver = f"{verdict.driver} {verdict.policy}".strip()
     episode = f"{verdict.decisions} decisions ({verdict.seconds:.1f} s) of {driver}"
     episode += f" in {verdict.town}, seed {verdict.seed}"
     elsewhere = f"; recorded by {verdict.recorded_by}" if verdict.recorded_by else ""

@@ -80,7 +80,7 @@ def frame_of(
     Args:
         scene: the simulation.
         image: uint8 [height, width, 4], the planner's observation.
-        driver: policy or its name, random, blind or rule-based.
+        driver: policy, random, blind or rule-based.
         town: the town of the episode.
         policy_version: version of the policy, 0 for other drivers.
         episode_seed: seed with which the episode was reset.

@@ -10,7 +10,6 @@ from pathlib import Path
 from athrl_driving.policy import OnnxPolicy
 from athrl_protocol.run_file import ActorSection, EnvironmentSection
 from athrl_spaces import REFERENCE_DRIVERS
-from athrl_spaces.untrusted import one_line
 
 from athrl_evaluator.errors import EvaluatorError
 from athrl_evaluator.observers import Recorder, recording_path
@@ -78,13 +77,18 @@ def evaluate_driver(
         labels, results = town_labels(environments.towns), list[EpisodeResult]()
         for town in environments.towns:
             batch_driver = make_batch_driver(who, count, forced=settings.forced)
-            if isinstance(driver, Path):
-                batch_driver.name = one_line(driver.stem)  # as frames tell who drove
             observing = list(observers)
             if record is not None:
                 named = "-".join([_name(driver), *([labels[town]] if len(labels) > 1 else [])])
+                policy = driver.stem if isinstance(driver, Path) else ""
                 recorder = Recorder(
-                    batch_driver, record, episodes=len(seeds), kept=None, needed=True, named=named
+                    batch_driver,
+                    record,
+                    episodes=len(seeds),
+                    kept=None,
+                    needed=True,
+                    named=named,
+                    policy=policy,
                 )
                 stack.callback(recorder.close)
                 observing.insert(0, recorder)

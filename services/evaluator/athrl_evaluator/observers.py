@@ -34,9 +34,12 @@ class Recorder(EpisodeObserver):
         needed: bool = False,
         broadcast: Broadcast | None = None,
         named: str | None = None,
+        policy: str = "",
         warn: Callable[[str], object] = log.warning,
     ) -> None:
         """Name files after the driver (a policy with its version), or `named`, and the seed.
+
+        `policy` is the name of the policy's file, which the recordings tell.
 
         `kept` is the most recordings that the folder holds, including earlier evaluations; None: all.
 
@@ -50,6 +53,7 @@ class Recorder(EpisodeObserver):
         self._needed = needed
         self._broadcast = broadcast
         self._named = named or name_of(driver)
+        self._policy = policy
         self._warn = warn
         self._gave_up = False
         self._open: dict[int, EpisodeRecording] = {}
@@ -68,7 +72,7 @@ class Recorder(EpisodeObserver):
             if step.index not in self._open:
                 self._open[step.index] = EpisodeRecording(
                     recording_path(self._folder, self._named, step.seed),
-                    Origin.of(step.environment, step.seed),
+                    Origin.of(step.environment, step.seed, self._policy),
                 )
             self._open[step.index].write(frame, step.action)
 

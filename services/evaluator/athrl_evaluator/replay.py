@@ -60,6 +60,7 @@ class Verdict:
 
     Attributes:
         driver, town, seed: of the episode.
+        policy: name of the policy's file, if the recording has it.
         decisions: that were compared.
         seconds: simulated.
         recorded_by: what computed the recording, if that was not what computes here; then the last bits may
@@ -69,6 +70,7 @@ class Verdict:
     """
 
     driver: str
+    policy: str
     town: str
     seed: int
     decisions: int
@@ -168,7 +170,15 @@ def _compare(path: Path, origin: Origin, actions: NDArray[np.float32], batch: Gu
         first = Difference(missing.step, missing.time, "time", missing.time, math.nan)
     last = comparison.last
     return Verdict(
-        last.driver, last.town, origin.seed, last.step, last.time, recorded_by, first, comparison.largest
+        driver=last.driver,
+        policy=origin.policy,
+        town=last.town,
+        seed=origin.seed,
+        decisions=last.step,
+        seconds=last.time,
+        recorded_by=recorded_by,
+        first=first,
+        largest=comparison.largest,
     )
 
 

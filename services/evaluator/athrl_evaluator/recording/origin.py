@@ -14,6 +14,7 @@ from typing import Any
 
 from athrl_driving.envs import EnvView
 from athrl_driving.kernels.compilation import fingerprint
+from athrl_spaces.untrusted import one_line
 
 METADATA = "athrl.episode"
 """Name of the metadata record."""
@@ -41,12 +42,17 @@ class Origin:
     """Version of athrl-driving."""
     processor: str
     """For people: the architecture."""
+    policy: str = ""
+    """For people: the name of the policy's file; empty of another driver, and of older recordings."""
 
     @classmethod
-    def of(cls, environment: EnvView, seed: int) -> Origin:
+    def of(cls, environment: EnvView, seed: int, policy: str = "") -> Origin:
         """The origin of an episode that begins in an environment now, in this process."""
         assert environment.town.file is not None  # an evaluation's towns are loaded by name
-        return cls(seed, environment.config, environment.town.file.checksum, **computed_by())
+        checksum = environment.town.file.checksum
+        return cls(
+            seed, environment.config, checksum, **computed_by(), policy=one_line(policy)[:LONGEST_TEXT]
+        )
 
     def metadata(self) -> dict[str, str]:
         """The texts of the metadata record."""
@@ -65,12 +71,13 @@ class Origin:
         if not 0 <= seed <= MOST_SEED:
             raise ValueError(f"its seed is {seed}, it should be from 0 to 2^64 - 1")
         others = ("town_checksum", "kernels", "numpy", "athrl", "processor")
-        for name in others:
-            if len(texts[name]) > LONGEST_TEXT or not texts[name].isprintable():
+        found = {name: texts[name] for name in others} | {"policy": texts.get("policy", "")}
+        for name, text in found.items():
+            if len(text) > LONGEST_TEXT or not text.isprintable():
                 raise ValueError(
                     f"its {name} should be a printable text of at most {LONGEST_TEXT} characters"
                 )
-        return cls(seed, settings, **{name: texts[name] for name in others})
+        return cls(seed, settings, **found)
 
 
 def computed_by() -> dict[str, str]:
