@@ -146,7 +146,7 @@ def test_what_can_only_mean_one_thing_is_read_so_and_warned_of_but_strict_maps_a
     town = town_from(tmp_path, UNUSUAL[name])
     assert len(kinds(town)) in (1, 2)
     assert metres(town) == pytest.approx(metres(town_from(tmp_path, ring())), abs=0.1)
-    with pytest.raises(MapError, match=r"line \d+: .+; the map is read strictly"):
+    with pytest.raises(MapError, match=r"line \d+: .+, but the map is read strictly"):
         town_from(tmp_path, UNUSUAL[name], strict=True)
 
 

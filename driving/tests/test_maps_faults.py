@@ -151,7 +151,7 @@ def test_a_strict_map_is_refused_in_one_line_that_names_the_fault_and_its_place(
     with pytest.raises(MapError, match=r"map\.xodr: (road|junction) \d+, (lane -\d, )?line \d+: .") as caught:
         town_from(tmp_path, text, strict=True)
     assert kind in str(caught.value)
-    assert str(caught.value).endswith("; the map is read strictly")
+    assert str(caught.value).endswith(", but the map is read strictly")
     assert "\n" not in str(caught.value)
 
 
