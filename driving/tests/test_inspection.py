@@ -86,7 +86,7 @@ def test_picture_shows_lanes_and_what_is_left_out_in_another_colour(tmp_path: Pa
     picture = tmp_path / "ring.png"
     draw_town(load_town(ring_and_stub(tmp_path)), picture)
     shown = colours(picture)
-    assert shown[LANE] > 20 * shown[LEFT_OUT] > 0
+    assert shown[LANE] > 15 * shown[LEFT_OUT] > 0
     assert IN_JUNCTION not in shown
 
 
