@@ -50,7 +50,7 @@ class MapFacts:
     """Revision, such as "1.6"; empty where the file does not tell."""
     roads: int
     lane_kilometres: float
-    """Along the lanes: of those that are driven on, and of those that are left out."""
+    """Along the lanes where they are wide enough: of those that are driven on, and of those left out."""
     extent: tuple[float, float]
     """m from west to east and from south to north, of the lanes that are driven on with their width."""
     junction_arms: dict[int, int]
