@@ -13,6 +13,7 @@ from athrl.maps.report import plain, table
 from athrl_driving.inspection import facts_of, suggested_vehicles
 from athrl_driving.inspection.trial import Trial
 from athrl_driving.maps import TOWNS, load_town
+from athrl_spaces import RANDOM_TOWNS
 
 
 def athrl(*words: str) -> subprocess.CompletedProcess[str]:
@@ -31,13 +32,14 @@ def rows(trial: Trial | None) -> str:
 
 def test_towns_are_listed_with_a_line_each() -> None:
     lines = athrl().stdout.splitlines()
-    assert [line.partition(":")[0] for line in lines] == list(TOWNS)
+    assert [line.partition(":")[0] for line in lines] == [*TOWNS, RANDOM_TOWNS]
     assert "8 junctions: 8 of 3 arms; dense traffic: 64 vehicles" in lines[0]
 
 
 def test_towns_are_listed_as_one_json_object() -> None:
-    towns = json.loads(athrl("--json").stdout)["towns"]
-    assert [town["name"] for town in towns] == list(TOWNS)
+    found = json.loads(athrl("--json").stdout)
+    assert [town["name"] for town in found["towns"]] == list(TOWNS)
+    assert found["random_towns"] == RANDOM_TOWNS
 
 
 def test_map_is_checked_drawn_and_driven(tmp_path: Path) -> None:
@@ -111,7 +113,7 @@ def test_report_warns_of_traffic_that_does_not_flow() -> None:
 def test_report_without_a_trial_tells_what_the_file_holds() -> None:
     report = rows(None)
     assert "file: OpenDRIVE 1.6, 318 roads" in report
-    assert "traffic lights: 10 in the file, 6 groups that lanes heed" in report
+    assert "traffic lights: 10 in the file, heeded by 10 lanes in 6 groups that change together" in report
     assert "left out: nothing" in report
     assert "warning" not in report
     assert "trial" not in report

@@ -42,7 +42,7 @@ def _row(name: str, trial: Trial) -> str:
         return f"| {library} | {describe(name)} | refused: {trial.refusal} | | |"
     facts = trial.facts
     return (
-        f"| {library} | {describe(name)} | {facts.lane_kilometres:.2f} | {facts.metres_left_out:.0f} | "
+        f"| {library} | {describe(name)} | {trial.kilometres:.2f} | {facts.metres_left_out:.0f} | "
         f"{trial.metres:.0f} |"
     )
 

@@ -28,6 +28,8 @@ class Trial:
 
     refusal: str = ""
     facts: MapFacts | None = None
+    kilometres: float = 0.0
+    """Of driving lanes in the file, those too that are too narrow to drive on."""
     vehicles: int = 0
     """In the background."""
     metres: float = 0.0
@@ -59,7 +61,13 @@ def try_map(path: Path, seed: int = 0) -> Trial:
         metres += info["distance"] - before
         before, collisions = info["distance"], collisions + bool(info["collision"])
     env.close()
-    return Trial(facts=facts_of(town), vehicles=vehicles, metres=metres, collisions=collisions)
+    return Trial(
+        facts=facts_of(town),
+        kilometres=town.lane_kilometres,
+        vehicles=vehicles,
+        metres=metres,
+        collisions=collisions,
+    )
 
 
 def _check_vehicles(env: TownEnv) -> None:

@@ -98,7 +98,7 @@ def test_what_does_not_fit_the_map_is_refused_in_one_line(config: dict, message:
 def test_every_lane_of_a_map_is_a_place_on_it() -> None:
     town = load_town("town03")
     for lane in np.flatnonzero(town.graph.junction < 0)[::25].tolist():
-        found, s = place_on_map(town, (town.road_name[lane], int(town.lane_id[lane]), 1.0))
-        assert town.road_name[found] == town.road_name[lane]
+        found, s = place_on_map(town, (f"road {town.road_id[lane]}", int(town.lane_id[lane]), 1.0))
+        assert town.road_id[found] == town.road_id[lane]
         assert town.lane_id[found] == town.lane_id[lane]
         assert 0.0 <= s <= town.graph.length[found]

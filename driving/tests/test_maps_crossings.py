@@ -119,7 +119,7 @@ def test_roads_that_lie_on_each_other_are_told_of(tmp_path: Path, beside: float,
     small_map.road(2, (0.0 if beside == 0.0 else 100.0, beside, 0.0), [(300.0, 0.0)], lanes)
     found = [finding for finding in small_map.load(tmp_path).findings if finding.kind == LYING_OVER]
     assert [finding.metres for finding in found] == ([pytest.approx(metres, abs=8.0)] if metres else [])
-    assert all(finding.place == "road 1 and road 2" for finding in found)
+    assert all(finding.place == "road 1 and road 2, all lanes together" for finding in found)
 
 
 def test_no_town_has_such_a_crossing() -> None:

@@ -5,6 +5,7 @@ import sys
 
 import athrl_driving
 import gymnasium
+import pytest
 from athrl_driving.maps import load_town
 
 
@@ -31,6 +32,15 @@ def test_the_package_can_be_named_with_the_environment() -> None:
     env = gymnasium.make("athrl_driving:athrl/Town03-v0", config={"vehicles_count": 0})
     assert env.spec is not None
     assert env.spec.id == "athrl/Town03-v0"
+
+
+def test_the_map_may_be_named_by_the_setting_town() -> None:
+    env = gymnasium.make("athrl/OpenDrive-v0", config={"town": "town02", "vehicles_count": 0})
+    env.reset(seed=0)
+    env.reset(seed=0, options={"config": {"vehicles_count": 1}})
+    assert env.unwrapped.town.name == "town02"
+    with pytest.raises(ValueError, match=r"^no map was named: give map='PATH.xodr'"):
+        gymnasium.make("athrl/OpenDrive-v0", config={"vehicles_count": 0})
 
 
 def test_lane_polylines_cover_the_town() -> None:

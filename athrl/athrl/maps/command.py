@@ -25,13 +25,15 @@ def list_towns(context: typer.Context, as_json: JsonOption = False) -> None:
     with needs("actor"):
         from athrl_driving.inspection import facts_of, suggested_vehicles
         from athrl_driving.maps import TOWNS, load_town
+        from athrl_spaces import RANDOM_TOWNS
     found = [load_town(name) for name in TOWNS]
     if as_json:
         towns = [report.plain(facts_of(town), suggested_vehicles(town)) for town in found]
-        print(json.dumps({"towns": towns}))
+        print(json.dumps({"towns": towns, "random_towns": RANDOM_TOWNS}))
         return
     for town in found:
         print(report.line_of(facts_of(town), suggested_vehicles(town)))
+    print(f"{RANDOM_TOWNS}: a town drawn at random for each number; see athrl maps check random-7")
 
 
 @maps.command()

@@ -14,16 +14,17 @@ from rich.text import Text
 if TYPE_CHECKING:
     from athrl_driving.inspection import MapFacts, Trial
 
-_LANES_NAMED = 5
 _CRAWLS = 0.4
 """Share of free flow below which traffic is too dense to learn from."""
 
 
 def line_of(facts: MapFacts, suggested: int) -> str:
     """Return one line about a town that comes along."""
+    from athrl_driving.inspection.lines import extent, junctions
+
     return (
-        f"{facts.name}: {facts.lane_kilometres:.1f} km of lanes on {_extent(facts)}; "
-        f"{_junctions(facts)}; dense traffic: {counted(suggested, 'vehicle')}"
+        f"{facts.name}: {facts.lane_kilometres:.1f} km of lanes on {extent(facts)}; "
+        f"{junctions(facts)}; dense traffic: {counted(suggested, 'vehicle')}"
     )
 
 
@@ -52,62 +53,15 @@ def table(facts: MapFacts, suggested: int, trial: Trial | None, picture: Path | 
 def _lines(
     facts: MapFacts, suggested: int, trial: Trial | None, picture: Path | None
 ) -> Iterator[tuple[str, str]]:
-    yield "file", f"OpenDRIVE {facts.opendrive or 'of an unstated revision'}, {counted(facts.roads, 'road')}"
-    yield "driving lanes", f"{facts.lane_kilometres:.2f} km along their roads, on {_extent(facts)}"
-    yield "junctions", _junctions(facts)
-    yield "traffic lights", _lights(facts)
-    yield "driven", _driven(facts)
-    yield "left out", _left_out(facts)
-    for fault in facts.faults:
-        yield "fault", fault
+    from athrl_driving.inspection.lines import lines_of
+
+    yield from lines_of(facts)
     yield "vehicles", _vehicles(facts, suggested)
     if trial is not None:
         yield "trial", _trial(trial)
         yield from (("warning", line) for line in _warnings(trial))
     if picture is not None:
         yield "picture", str(picture)
-
-
-def _extent(facts: MapFacts) -> str:
-    return " x ".join(f"{metres:,.0f}" for metres in facts.extent) + " m"
-
-
-def _junctions(facts: MapFacts) -> str:
-    if not facts.junction_arms:
-        return "no junctions"
-    arms = ", ".join(f"{count} of {counted(arms, 'arm')}" for arms, count in facts.junction_arms.items())
-    return f"{counted(sum(facts.junction_arms.values()), 'junction')}: {arms}"
-
-
-def _lights(facts: MapFacts) -> str:
-    if not facts.traffic_lights:
-        return "none"
-    return (
-        f"{facts.traffic_lights} in the file, {counted(facts.driven.light_groups, 'group')} that lanes heed"
-    )
-
-
-def _driven(facts: MapFacts) -> str:
-    driven = facts.driven
-    text = f"{driven.kilometres:.2f} km, {driven.share:.1%}, {counted(driven.lanes, 'lane')}"
-    if driven.ways_out:
-        text += f", {driven.ways_out:,} of them out of the map"
-    if len(driven.parts) == 1:
-        return text
-    sizes = ", ".join(f"{kilometres:.2f}" for kilometres in driven.parts[:_LANES_NAMED])
-    more = ", ..." if len(driven.parts) > _LANES_NAMED else ""
-    return f"{text}, in {len(driven.parts)} parts without a way between them ({sizes}{more} km)"
-
-
-def _left_out(facts: MapFacts) -> str:
-    if not facts.left_out:
-        return "nothing"
-    longest, more = facts.left_out[:_LANES_NAMED], len(facts.left_out) - _LANES_NAMED
-    named = ", ".join(f"{road} lane {lane} ({metres:.0f} m)" for road, lane, metres in longest)
-    return (
-        f"{facts.metres_left_out:,.0f} m, {1.0 - facts.driven.share:.1%}, as they lead nowhere or nothing "
-        f"leads there: {named}{f' and {more} more' if more > 0 else ''}"
-    )
 
 
 def _vehicles(facts: MapFacts, suggested: int) -> str:

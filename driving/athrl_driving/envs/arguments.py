@@ -39,8 +39,13 @@ def refuse_arguments(
     raise TypeError(f"an environment has no argument {name!r}{hint}")
 
 
-def map_argument(town: Any) -> str | None:
-    """The argument `map` as text; raises DrivingError, in one line, for what is no name and no path."""
+def map_argument(town: Any, config: Any = None) -> str | None:
+    """The argument `map` as text; where it is empty, the map that the settings `config` name, if they do.
+
+    Raises DrivingError, in one line, for what is no name and no path.
+    """
+    if town == "" and isinstance(config, Mapping):
+        return as_text(config.get("town", ""))
     if town is not None and not isinstance(town, (str, os.PathLike)):
         raise DrivingError(f"map is {town!r}, it should be {TOWN_MAY_BE}")
     return as_text(town)

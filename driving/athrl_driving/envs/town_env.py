@@ -75,7 +75,7 @@ class TownEnv(PlainSpec, AbstractEnv):
         refuse_arguments(others, type(self).__init__, self.default_config())
         if render_mode not in (None, "human", "rgb_array"):
             raise DrivingError(f"render_mode is {render_mode!r}, it should be None, 'human' or 'rgb_array'")
-        self._map = map_argument(map)
+        self._map = map_argument(map, config)
         self._scenario = scenario
         self.metadata = dict(type(self).metadata)  # highway-env's dict is that of all environments
         super().__init__(config, render_mode)

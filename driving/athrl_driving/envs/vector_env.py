@@ -85,7 +85,7 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
         self.render_mode = render_mode
         self.num_envs = _whole_number("num_envs", num_envs)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
-        self._map = map_argument(map)
+        self._map = map_argument(map, config)
         self._observations = observations
         self._shares_observations = observations is not None
         self._owns_workers = workers is None

@@ -12,6 +12,7 @@ from athrl_driving.episode.ego import EGO_LENGTH
 from athrl_driving.errors import DrivingError
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import LaneGraph
+from athrl_driving.maps.road_names import BY_ID, lane_called
 from athrl_driving.metrics import COMPLETION_SPEED
 from athrl_driving.route import PLAN_LANES, dead_end_distance, plan_length, shortest_route
 
@@ -23,6 +24,7 @@ RANDOM = "random"
 
 _RANDOM_TURNS = np.empty(0, dtype=np.int64)
 _ATTEMPTS = 50
+_IDS_NAMED = 5
 
 Place = tuple[int, float]
 """A lane of the lane graph, and metres along it."""
@@ -51,7 +53,7 @@ class Journeys:
         self, town: Town, seconds: float, start: Place | None = None, destination: Place | str | None = None
     ) -> None:
         self._town = town
-        self._margin, room = _room_to_start(town.graph)
+        self._margin, room = room_to_start(town.graph)
         self._ends = np.cumsum(room)
         self._start, self._destination = start, destination
         self._random_goal = COMPLETION_SPEED * seconds
@@ -92,14 +94,18 @@ class Journeys:
 
     def _journey_to(self, lane: int, s: float, destination: Place) -> Journey:
         goal, goal_s = destination
-        plan = shortest_route(self._town.graph, lane, goal, around=goal == lane and goal_s <= s)
+        try:
+            plan = shortest_route(self._town.graph, lane, goal, around=goal == lane and goal_s <= s)
+        except DrivingError:
+            start, end = lane_called(self._town, lane), lane_called(self._town, goal)
+            raise DrivingError(f"on the map {self._town.name} no way leads from {start} to {end}") from None
         if plan.size > PLAN_LANES:
             raise DrivingError(f"the way to the destination has {plan.size} lanes, it may have {PLAN_LANES}")
         way = plan_length(self._town.graph, plan, s, goal_s)
         return Journey(np.array([lane, s, goal_s, max(way, 1.0)]), plan)
 
 
-def _room_to_start(graph: LaneGraph) -> tuple[float, NDArray[np.float64]]:
+def room_to_start(graph: LaneGraph) -> tuple[float, NDArray[np.float64]]:
     """Return from which metre of a lane on the ego may start, and over how many metres of each lane, [L]."""
     margin = EGO_LENGTH
     room = _room_between(
@@ -120,29 +126,53 @@ def _room_between(graph: LaneGraph, start: float, end: NDArray[np.float64]) -> N
 def place_on_map(town: Town, place: tuple[str, int, float]) -> Place:
     """The lane of the lane graph at a place on a town's map, and the metres along that lane.
 
-    A place is a road's name, a lane's id, and metres along the road's lane of that id. They count in the
-    direction of driving, over all lanes of the graph that are part of it. Raises ValueError in one line where
-    there is no such road, lane or place.
+    A place is a road, a lane's id, and metres along the road's lane of that id. They count in the direction
+    of driving, over all lanes of the graph that are part of it. A road is called by its name, or "road ID".
+    Raises ValueError in one line where there is no such road, lane or place, or where several roads are
+    called so.
     """
     road, lane_id, s = place
-    roads = np.array(town.road_name) == road
-    if not roads.any():
-        near = difflib.get_close_matches(road, town.road_name, n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ": load_town(...).road_name has them all"
-        raise DrivingError(f"the map {town.name} has no road {road!r}{hint}")
+    roads = _called(town, road)
     lanes = np.flatnonzero(roads & (town.lane_id == lane_id))
     if not lanes.size:
         ids = ", ".join(str(each) for each in np.unique(town.lane_id[roads]))
         raise DrivingError(f"the road {road!r} of {town.name} has no lane {lane_id}, its lanes are {ids}")
+    chain = in_driving_order(town, lanes)
+    _refuse_shared_name(town, road, lanes.tolist(), chain)
     end = 0.0
-    for lane in _chain(town, lanes):
+    for lane in chain:
         if s <= end + town.graph.length[lane] and s >= 0.0:
             return lane, float(s - end)
         end += float(town.graph.length[lane])
     raise DrivingError(f"lane {lane_id} of the road {road!r} of {town.name} is {end:.1f} m long, not {s:g} m")
 
 
-def _chain(town: Town, lanes: NDArray[np.int64]) -> list[int]:
+def _called(town: Town, road: str) -> NDArray[np.bool_]:
+    """Return which lanes are of the roads of a name, else of the road of an id ("road ID"), [L]."""
+    roads = np.array(town.road_name) == road
+    if not roads.any() and road.startswith(BY_ID):
+        roads = np.array(town.road_id) == road.removeprefix(BY_ID)
+    if not roads.any():
+        near = difflib.get_close_matches(road, town.road_name, n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ": load_town(...).road_name has them all"
+        raise DrivingError(f"the map {town.name} has no road {road!r}{hint}")
+    return roads
+
+
+def _refuse_shared_name(town: Town, road: str, lanes: list[int], chain: list[int]) -> None:
+    """Refuse a name of several roads; those that follow each other are one street, on which metres count."""
+    of_name = dict.fromkeys(town.road_id[lane] for lane in lanes)
+    if len(of_name) == len({town.road_id[lane] for lane in chain}):
+        return
+    ids = ", ".join(repr(f"{BY_ID}{number}") for number in list(of_name)[:_IDS_NAMED])
+    more = ", ..." if len(of_name) > _IDS_NAMED else ""
+    raise DrivingError(
+        f"{len(of_name)} roads of {town.name} with such a lane are called {road!r}, "
+        f"the place should name one of them by its id: {ids}{more}"
+    )
+
+
+def in_driving_order(town: Town, lanes: NDArray[np.int64]) -> list[int]:
     """The lanes in the order in which they follow each other, from the first without a predecessor."""
     left = set(lanes.tolist())
     following = {lane: [other for other in _successors(town, lane) if other in left] for lane in left}

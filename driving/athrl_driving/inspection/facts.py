@@ -6,9 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from athrl_driving.inspection.bends import Bends, bends_of
+from athrl_driving.inspection.lines import lines_of
+from athrl_driving.inspection.ways import mean_way
 from athrl_driving.maps import Town
 from athrl_driving.maps.findings import Findings
 from athrl_driving.maps.lane_graph import Integers, LaneGraph
+from athrl_driving.maps.outlines import outlines
 from athrl_driving.maps.reachability import Edges, components
 from athrl_driving.traffic.state import starting_places
 
@@ -18,7 +22,7 @@ class Driven:
     """What vehicles drive on."""
 
     lanes: int
-    """Lanes of roads, counted by road and id."""
+    """Lanes of roads, counted by the ids of road and lane."""
     kilometres: float
     share: float
     """Of the length of all lanes that could be driven on, 0 to 1."""
@@ -30,22 +34,30 @@ class Driven:
     """Background vehicles for which there is room."""
     light_groups: int
     """Groups of traffic lights that change together and that lanes heed."""
+    light_lanes: int
+    """Lanes that end at a stop line before a light; the picture has a dot at each."""
+    mean_way: float
+    """m that an episode from a random start can drive in the mean before the map ends: at most 400, for which
+    it has time, and fewer on open maps."""
 
 
 @dataclass(frozen=True)
 class MapFacts:
-    """What a map holds; lengths of lanes are those of all driving lanes in the file."""
+    """What a map holds; as text the report on it, a line for each thing."""
 
     name: str
     opendrive: str
     """Revision, such as "1.6"; empty where the file does not tell."""
     roads: int
     lane_kilometres: float
+    """Along the lanes where they are wide enough: of those that are driven on, and of those left out."""
     extent: tuple[float, float]
-    """m from west to east and from south to north between the lanes that are driven on."""
+    """m from west to east and from south to north, of the lanes that are driven on with their width."""
     junction_arms: dict[int, int]
     """How many junctions have how many arms."""
+    bends: Bends
     traffic_lights: int
+    """In the file, those too that no lane heeds."""
     driven: Driven
     left_out: tuple[tuple[str, int, float], ...]
     """(road's name, lane's id, m), the longest first."""
@@ -57,23 +69,33 @@ class MapFacts:
         """Return the length of the lanes that are left out, m."""
         return sum(metres for *_, metres in self.left_out)
 
+    def __str__(self) -> str:
+        """Return what `athrl maps check` prints before its trial, a line for each row."""
+        return "\n".join([self.name, *(f"{name}: {line}" for name, line in lines_of(self))])
+
 
 def facts_of(town: Town) -> MapFacts:
     """Return the facts of a town; nothing is driven for it."""
-    box = town.graph.box
-    east, south = box[:, 2:].max(axis=0) - box[:, :2].min(axis=0)
+    driven, left_out = _driven(town), tuple(sorted(town.left_out, key=lambda lane: -lane[2]))
     return MapFacts(
         name=town.name,
         opendrive=town.revision,
         roads=town.roads,
-        lane_kilometres=town.lane_kilometres,
-        extent=(float(east), float(south)),
+        lane_kilometres=driven.kilometres + sum(metres for *_, metres in left_out) / 1000.0,
+        extent=_extent(town),
         junction_arms=dict(sorted(town.junction_arms.items())),
+        bends=bends_of(town),
         traffic_lights=town.traffic_lights,
-        driven=_driven(town),
-        left_out=tuple(sorted(town.left_out, key=lambda lane: -lane[2])),
+        driven=driven,
+        left_out=left_out,
         faults=_faults(town),
     )
+
+
+def _extent(town: Town) -> tuple[float, float]:
+    points = np.concatenate(outlines(town.lane_polylines(), town.graph.width))
+    east, south = (points.max(axis=0) - points.min(axis=0)).tolist()
+    return east, south
 
 
 def _faults(town: Town) -> tuple[str, ...]:
@@ -91,14 +113,21 @@ def _driven(town: Town) -> Driven:
     lengths = np.bincount(part, weights=metres)
     total, left_out = float(metres.sum()), sum(length for *_, length in town.left_out)
     return Driven(
-        lanes=len(set(zip(town.road_name, town.lane_id.tolist(), strict=True))),
+        lanes=len(set(zip(town.road_id, town.lane_id.tolist(), strict=True))),
         kilometres=total / 1000.0,
         share=total / (total + left_out),
         parts=tuple(sorted((lengths[lengths > 0.0] / 1000.0).tolist(), reverse=True)),
         ways_out=len(ways_out(town.graph)),
         vehicle_places=starting_places(town),
         light_groups=len(town.signals.cycle),
+        light_lanes=len(lanes_before_lights(town)),
+        mean_way=mean_way(town),
     )
+
+
+def lanes_before_lights(town: Town) -> Integers:
+    """Return the lanes that end at a stop line before a light."""
+    return np.unique(town.movements.origin[town.movements.signal >= 0])
 
 
 def ways_out(graph: LaneGraph) -> Integers:

@@ -24,6 +24,10 @@ _FINER = 2
 _MARGIN, _HEAD, _FOOT = 30, 60, 60
 _TEXT, _TITLE = 22, 30
 _GAP = 10
+_MARK = 0.25
+"""Metres: the width of a mark on the road."""
+_LONGEST_SCALE = 200.0
+"""Pixels; a round number of metres is at least 0.4 of it."""
 
 
 class Plan:
@@ -48,6 +52,15 @@ class Plan:
         """Return how wide something must be to be seen well, m."""
         return 1.5 / self._scale
 
+    @property
+    def spacing(self) -> float:
+        """Return how far apart points of a line may be, m, so that no corners are seen in a bend."""
+        return min(2.0, 4.0 / self._scale)
+
+    def pixels(self, metres: float) -> float:
+        """Return how long a length is in the picture."""
+        return metres * self._scale
+
     def pixel(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where points, [.., 2] in metres, are in the picture: [.., 2] in pixels."""
         return (point - self._low) * self._scale + self._shift
@@ -57,6 +70,11 @@ class Plan:
         points = self._fine(outline)
         pygame.draw.polygon(self.surface, colour, points)
         pygame.draw.polygon(self.surface, colour, points, 1)
+
+    def line(self, points: NDArray[np.float64], colour: Colour) -> None:
+        """Draw a line through points, [n, 2] in metres, as thin as a mark on the road."""
+        width = min(max(1, round(_MARK * self._scale * _FINER)), 2 * _FINER)
+        pygame.draw.lines(self.surface, colour, False, self._fine(points), width)
 
     def dot(self, place: NDArray[np.float64], colour: Colour) -> None:
         """Draw a dot at a place, [2] in metres."""
@@ -85,7 +103,7 @@ class Plan:
 
     def _draw_scale(self, x: int, y: int) -> int:
         """Draw a bar of a round number of metres, and return where the next thing may be, pixels."""
-        metres = _round_length(120.0 / self._scale)
+        metres = _round_length(_LONGEST_SCALE / self._scale)
         length = round(metres * self._scale)
         pygame.draw.lines(
             self.surface, _INK, False, [(x, y - 6), (x, y), (x + length, y), (x + length, y - 6)], 2

@@ -45,6 +45,16 @@ class _Crossing(NamedTuple):
     angle: float
 
 
+class FoundCrossing(NamedTuple):
+    """A place where two lanes cross, which is part of a junction now."""
+
+    junction: str
+    """What its segments have as `junction`."""
+    place: str
+    roads: tuple[str, str]
+    """Their ids."""
+
+
 class _Stretch(NamedTuple):
     """A part of a segment (m, m) on which a vehicle is in the way at a crossing."""
 
@@ -53,26 +63,46 @@ class _Stretch(NamedTuple):
     crossing: int
 
 
-def make_junctions_of_crossings(findings: Findings, carriageways: list[Carriageway]) -> None:
+def make_junctions_of_crossings(carriageways: list[Carriageway]) -> list[FoundCrossing]:
     """Make the parts of ordinary lanes junctions on which they cross each other on one level.
 
-    Each crossing is noted. Raises `ValueError` where too many lanes lie close together or cross.
+    Return where lanes cross. Raises `ValueError` where too many lanes lie close together or cross.
     """
     segments = [lane for carriageway in carriageways for lane in carriageway.lanes]
     ordinary = [segment for segment in segments if not segment.junction]
     if not ordinary:
-        return
+        return []
     before = predecessors_of(segments)
     crossings = [
         crossing for crossing in _crossings(ordinary) if not are_one_way(crossing.segments, crossing.places)
     ]
     if not crossings:
-        return
+        return []
     stretches = _stretches(crossings, before)
-    names = _names(findings, crossings, stretches)
+    names = _names(crossings, stretches)
+    found = [
+        FoundCrossing(name, _place(crossing), _roads(crossing))
+        for name, crossing in zip(names, crossings, strict=True)
+    ]
     for carriageway in list(carriageways):
         if any(segment in stretches for segment in carriageway.lanes):
             _mark(carriageways, carriageway, stretches, names)
+    return found
+
+
+def note_crossings(findings: Findings, crossings: list[FoundCrossing], driven: set[LaneSegment]) -> None:
+    """Note each junction that was made of crossings, by the first of which both roads are driven on there."""
+    there = {(segment.junction, segment.carriageway.road.id) for segment in driven}
+    noted: set[str] = set()
+    for junction, place, roads in crossings:
+        if junction not in noted and all((junction, road) in there for road in roads):
+            noted.add(junction)
+            findings.add(FOUND, place, allowed=True)
+
+
+def _roads(crossing: _Crossing) -> tuple[str, str]:
+    first, second = crossing.segments
+    return first.carriageway.road.id, second.carriageway.road.id
 
 
 def _crossings(segments: list[LaneSegment]) -> Iterator[_Crossing]:
@@ -151,9 +181,7 @@ def _covered(
         missing -= later.length
 
 
-def _names(
-    findings: Findings, crossings: list[_Crossing], stretches: dict[LaneSegment, list[_Stretch]]
-) -> list[str]:
+def _names(crossings: list[_Crossing], stretches: dict[LaneSegment, list[_Stretch]]) -> list[str]:
     """Return the junction of each crossing; those between which no vehicle could stand are one."""
     joined = DisjointSets(range(len(crossings)))
     for own in stretches.values():
@@ -163,11 +191,7 @@ def _names(
                 joined.join(latest, stretch.crossing)
             if stretch.end > end:
                 end, latest = stretch.end, stretch.crossing
-    names = {}
-    for root in joined.sets():
-        place = _place(crossings[root])
-        findings.add(FOUND, place, allowed=True)
-        names[root] = f"crossing of {place}"
+    names = {root: f"crossing of {_place(crossings[root])}" for root in joined.sets()}
     return [names[joined.root(number)] for number in range(len(crossings))]
 
 

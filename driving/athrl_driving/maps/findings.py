@@ -11,6 +11,9 @@ from dataclasses import dataclass, field
 
 from athrl_driving.errors import DrivingError
 
+_LONG = 10.0
+"""Metres from which on millimetres have no meaning."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -51,7 +54,8 @@ class Findings:
         """
         finding = Finding(kind, place, metres)
         if self.strict and not allowed:
-            raise MapError(f"{self.name}: {place}: {_described(finding)}; the map is read strictly")
+            would = Finding(_not_done(kind), place, metres)
+            raise MapError(f"{self.name}: {place}: {_described(would)}, but the map is read strictly")
         here = self._found.setdefault(kind, {})
         if place not in here or _size(finding) > _size(here[place]):
             here[place] = finding
@@ -69,7 +73,7 @@ class Findings:
             if len(places) == 1:
                 lines.append(f"{self.name}: {_described(worst)}: {worst.place}")
                 continue
-            first = "the first" if worst.metres is None else f"the largest of {worst.metres:.3f} m"
+            first = "the first" if worst.metres is None else f"the largest of {_told(worst.metres)}"
             lines.append(f"{self.name}: {kind} ({len(places)} times), {first}: {worst.place}")
         return lines
 
@@ -84,4 +88,20 @@ def _size(finding: Finding) -> float:
 
 
 def _described(finding: Finding) -> str:
-    return finding.kind if finding.metres is None else f"{finding.kind} ({finding.metres:.3f} m)"
+    return finding.kind if finding.metres is None else f"{finding.kind} ({_told(finding.metres)})"
+
+
+def _told(metres: float) -> str:
+    """Return a length with no more digits than it can mean: gaps are some mm, roads some hundred m."""
+    return f"{metres:.3f} m" if metres < _LONG else f"{metres:.0f} m"
+
+
+def _not_done(kind: str) -> str:
+    """Return a kind, which says what was done, as what would be done in a map that is not read strictly."""
+    before, verb, after = max((kind.rpartition(f" {verb} ") for verb in ("was", "were")), key=_length_before)
+    negation = "not " if after.startswith("not ") else ""
+    return f"{before} would {negation}be {after.removeprefix('not ')}" if verb else kind
+
+
+def _length_before(parts: tuple[str, str, str]) -> int:
+    return len(parts[0])

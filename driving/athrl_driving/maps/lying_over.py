@@ -13,7 +13,7 @@ from athrl_driving.maps.chords import CHORD, Floats, Integers, are_on_one_level,
 from athrl_driving.maps.findings import Findings
 from athrl_driving.maps.near_pairs import near_pairs, refuse_many
 from athrl_driving.maps.opendrive.bounds import MOST_LYING_OVER
-from athrl_driving.maps.opendrive.carriageways import Carriageway, LaneSegment
+from athrl_driving.maps.opendrive.carriageways import LaneSegment
 
 FOUND = "two roads lie on each other without a junction: vehicles drive through each other there"
 
@@ -29,12 +29,12 @@ _ONE_PLACE = 25.0
 _ALONG = math.sin(math.radians(10.0))
 
 
-def note_lanes_lying_over(findings: Findings, carriageways: list[Carriageway]) -> None:
-    """Note each pair of roads of which ordinary lanes lie on each other, and for how many metres.
+def note_lanes_lying_over(findings: Findings, segments: list[LaneSegment]) -> None:
+    """Note each pair of roads of which ordinary lanes lie on each other, and for how many metres of lanes.
 
     Raises `ValueError` where too many lanes lie on each other.
     """
-    segments = [lane for carriageway in carriageways for lane in carriageway.lanes if not lane.junction]
+    segments = [segment for segment in segments if not segment.junction]
     if not segments:
         return
     chords = chords_of(segments)
@@ -71,7 +71,7 @@ def note_lanes_lying_over(findings: Findings, carriageways: list[Carriageway]) -
             metres[f"road {roads[0]} and {other}"] += float(length[list(own)].sum())
     for place, total in metres.items():
         if total >= _LEAST:
-            findings.add(FOUND, place, total, allowed=True)
+            findings.add(FOUND, f"{place}, all lanes together", total, allowed=True)
 
 
 def _stations(segments: list[LaneSegment], number: Integers, s: Floats) -> Floats:

@@ -15,7 +15,7 @@ from athrl_spaces.wording import counted
 from numpy.typing import NDArray
 
 from athrl_driving.maps.conflicts import relations_of
-from athrl_driving.maps.crossings import make_junctions_of_crossings
+from athrl_driving.maps.crossings import make_junctions_of_crossings, note_crossings
 from athrl_driving.maps.findings import Finding
 from athrl_driving.maps.junctions import Junction, number_junctions
 from athrl_driving.maps.lane_graph import LaneGraph, Movements, Signals
@@ -30,6 +30,7 @@ from athrl_driving.maps.opendrive.roadway import Roadway, build_roadway
 from athrl_driving.maps.outlines import LaneShapes, centre_lines
 from athrl_driving.maps.priority import priorities, ring_segments, turn_of, yielding_movements
 from athrl_driving.maps.reachability import Drivable, drivable_part
+from athrl_driving.maps.road_names import told_names
 from athrl_driving.maps.short_ends import prolong_short_ends, settle_short_ends
 from athrl_driving.maps.signals import signals_of
 from athrl_driving.maps.standing_segments import (
@@ -67,7 +68,9 @@ class Town:
     lane_indices: list[tuple[str, str, int]]
     """By lane of the graph: highway-env's lane index; copies of a lane share one."""
     road_name: tuple[str, ...]
-    """By lane of the graph: the name of its road in the map's file."""
+    """By lane of the graph: the name of its road in the map's file, "road ID" where it has none."""
+    road_id: tuple[str, ...]
+    """By lane of the graph: the id of its road; roads of one file may share a name."""
     lane_id: NDArray[np.int64]
     """By lane of the graph: the id on that road in the map's file."""
     junctions: tuple[Junction, ...]
@@ -81,7 +84,10 @@ class Town:
     junction_arms: Counter[int]
     """How many junctions in the file have how many arms (ends of roads with driving lanes)."""
     left_out: tuple[tuple[str, int, float], ...]
-    """Driving lanes that lead nowhere or cannot be reached: (road's name, lane id, m)."""
+    """Driving lanes that lead nowhere or cannot be reached: (road's name, lane id, m).
+
+    Where roads share a name, it is followed by the id: "Main Street (road 7)".
+    """
     left_out_shapes: LaneShapes
     """Where the lanes lie that are left out."""
     findings: tuple[Finding, ...]
@@ -195,8 +201,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     content, carriageways = roadway.content, roadway.carriageways
     skip_very_short(carriageways)
     make_junctions_of_forks(carriageways)
-    make_junctions_of_crossings(content.findings, carriageways)
-    note_lanes_lying_over(content.findings, carriageways)
+    crossings = make_junctions_of_crossings(carriageways)
     prolong_short_ends(carriageways)
     segments = all_segments(carriageways)
     standing = standing_segments(content.name, segments)
@@ -206,7 +211,10 @@ def build_town(name: str, roadway: Roadway) -> Town:
     kept = set(numbering.segments)
     lost = [segment for segment in segments if segment not in kept]
     settle_short_ends(content.findings, dict.fromkeys(numbering.segments), lost)
-    left_out = _left_out(lost)
+    left_out = _left_out(content, lost)
+    # Only of what is driven on: a road that is left out is in nobody's way.
+    note_crossings(content.findings, crossings, kept)
+    note_lanes_lying_over(content.findings, [segment for segment in segments if segment in kept])
     relations = relations_of(drivable.movements)
     turns = np.array([turn_of(movement) for movement in drivable.movements], dtype=np.int64)
     ring = ring_segments(list(dict.fromkeys(numbering.segments)))
@@ -228,6 +236,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
         signals=signals,
         lane_indices=indices,
         road_name=tuple(segment.carriageway.road.name for segment in numbering.segments),
+        road_id=tuple(segment.carriageway.road.id for segment in numbering.segments),
         lane_id=np.array([segment.lane.id for segment in numbering.segments], dtype=np.int64),
         junctions=junctions,
         roads=len(content.roads),
@@ -248,10 +257,11 @@ def _check_drivable(name: str, drivable: Drivable) -> None:
         )
 
 
-def _left_out(lost: list[LaneSegment]) -> tuple[tuple[str, int, float], ...]:
+def _left_out(content: OpenDrive, lost: list[LaneSegment]) -> tuple[tuple[str, int, float], ...]:
+    told = told_names((road.id, road.name) for road in content.roads.values())
     metres: dict[tuple[str, int], float] = defaultdict(float)
     for segment in lost:
-        metres[segment.carriageway.road.name, segment.lane.id] += segment.length
+        metres[told[segment.carriageway.road.id], segment.lane.id] += segment.length
     return tuple((road, lane, length) for (road, lane), length in metres.items())
 
 
