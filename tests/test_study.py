@@ -42,7 +42,7 @@ def result(folder: Path, run: str = "hddpg-town03-1") -> dict[str, Any]:
 def test_study_trains_and_scores_each_run_and_goes_on_after_one_that_failed(
     command, study, tmp_path: Path
 ) -> None:
-    variants = 'variants = {plain = [], crowded = ["environment.vehicles=5000"]}'
+    variants = 'variants = {plain = [], large = ["replay.capacity=1000000000000"]}'
     # Long enough that an actor reports, once a second, after the random decisions.
     elsewhere = '[[elsewhere]]\nname = "quiet"\ntown = "town02"\nvehicles = 5'
     file = study(f"{variants}\n{elsewhere}", **{"run.environment_steps": 1500})
@@ -54,7 +54,7 @@ def test_study_trains_and_scores_each_run_and_goes_on_after_one_that_failed(
     assert finished["seconds"] > 0
     assert result(tmp_path / "out", "hddpg-town03-plain-1@quiet")["scores"]["return_mean"] != 0
     assert "| hddpg, plain | town03 | 1 of 1 |" in done.stdout.partition("### Elsewhere: quiet")[2]
-    failed = "hddpg-town03-crowded-1 failed: ended with code 2: environment.vehicles is 5000"
+    failed = "hddpg-town03-large-1 failed: ended with code 2: replay.capacity is 1000000000000"
     assert f"- {failed}" in (tmp_path / "out" / "table.md").read_text()
     assert "| hddpg, plain | town03 | 1 of 1 |" in done.stdout
     assert json.loads((tmp_path / "out" / "study.json").read_text())["made"]["version"]
