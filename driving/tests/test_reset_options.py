@@ -1,6 +1,9 @@
 """`reset(options=...)` changes settings, alike in one environment, in gymnasium's vectors and in our own."""
 
+import copy
+import pickle
 import re
+from collections.abc import Callable
 
 import athrl_driving  # noqa: F401  (registers the environments)
 import gymnasium
@@ -112,3 +115,73 @@ def test_no_two_environments_share_their_settings() -> None:
     defaults["centering_position"][0] = 0.1
     assert settings["action"] == {"type": "DirectAction"}
     assert TownEnv.default_config()["centering_position"] == [0.5, 0.5]
+
+
+# Settings that are written to `config`, as in highway-env
+
+WRITTEN = [
+    lambda config: config.update(vehicles_count=2),
+    lambda config: config.__setitem__("action", {"type": "DirectAction"}),
+    lambda config: config["action"].update(type="DirectAction"),
+    lambda config: config.update(ticks_per_decision=2, image_size=16),
+    lambda config: config.pop("vehicles_count"),
+]
+
+
+@pytest.mark.parametrize("write", WRITTEN)
+@pytest.mark.parametrize("kind", ["alone", "vector"])
+def test_what_is_written_to_config_holds_from_the_next_reset_on(kind: str, write: Callable) -> None:
+    env, expected = KINDS[kind](), KINDS[kind]()
+    settings = copy.deepcopy(expected.unwrapped.config)
+    write(settings)
+    expected.reset(seed=1)
+    expected.reset(seed=2, options={"config": {**settings, "policy_frequency": None}})
+    config = env.unwrapped.config
+    for _ in range(2):  # whoever kept the dict can write to it again
+        write(config)
+        env.reset(seed=1)
+    copied = pickle.loads(pickle.dumps(env))
+    action = np.zeros(env.action_space.shape, np.float32)
+    expected.reset(seed=3)
+    answer = expected.step(action)
+    for each in (env, copied):
+        each.reset(seed=3)
+        np.testing.assert_equal(each.step(action), answer)
+        assert each.unwrapped.config == expected.unwrapped.config
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ({"vehicle_count": 2}, "has no setting 'vehicle_count', did you mean 'vehicles_count'?"),
+        ({"vehicles_count": -1}, "vehicles_count is -1, it should be a whole number from 0"),
+        ({"start": np.zeros(3)}, "the setting start is array([0., 0., 0.]), it should be None or"),
+        ({"policy_frequency": 5}, "policy_frequency is 5, it should be 2.5"),
+        ({"duration": 60}, "has no setting 'duration'"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["alone", "vector"])
+def test_what_is_written_to_config_and_cannot_be_followed_is_refused(
+    kind: str, written: dict, said: str
+) -> None:
+    env = KINDS[kind]()
+    before = dict(env.unwrapped.config)
+    env.reset(seed=1)
+    env.unwrapped.config.update(written)
+    for options in (None, {"config": {"image_size": 16}}):
+        with pytest.raises(ValueError, match=re.escape(said)) as refusal:
+            env.reset(seed=2, options=options)
+        assert "\n" not in str(refusal.value)
+    env.unwrapped.config.clear()
+    env.reset(seed=2)
+    assert env.unwrapped.config == before
+
+
+def test_options_go_before_what_is_written_and_some_of_a_vector_follow_neither() -> None:
+    for env in (TownEnv(config=CONFIG), vector := TownVectorEnv(COUNT, config=CONFIG)):
+        env.config["vehicles_count"] = 2
+        env.reset(seed=1, options={"config": {"vehicles_count": 3}})
+        assert env.config["vehicles_count"] == 3
+    vector.config["vehicles_count"] = 2
+    with pytest.raises(ValueError, match="all environments have the same settings"):
+        vector.reset(seed=1, options={"reset_mask": np.array([True, False, True])})

@@ -1,7 +1,8 @@
-"""The options of `reset` and their checks: one that does not exist is an error."""
+"""What a reset follows: options, of which an unknown one is an error, and what was written to `config`."""
 
 from __future__ import annotations
 
+import copy
 import difflib
 from collections.abc import Mapping
 from typing import Any
@@ -26,3 +27,31 @@ def checked_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -
             hint = f", did you mean {near[0]!r}?" if near else f", there is {' and '.join(map(repr, known))}"
             raise DrivingError(f"reset has no option {name!r}{hint}")
     return options
+
+
+def written_settings(config: Mapping[str, Any], adopted: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that somebody has written to an environment's `config` since it `adopted` these.
+
+    That is how highway-env's environments are configured. What was removed is as it was adopted.
+    """
+    written = {
+        name: value for name, value in config.items() if name not in adopted or _differ(value, adopted[name])
+    }
+    return {**written, **{name: copy.deepcopy(adopted[name]) for name in adopted.keys() - config.keys()}}
+
+
+def with_written(
+    changes: Mapping[str, Any] | None, config: Mapping[str, Any], adopted: Mapping[str, Any]
+) -> Mapping[str, Any] | None:
+    """Return changes of settings with those that were written to `config`; what is no dict is as it is."""
+    written = written_settings(config, adopted)
+    if not written or not isinstance(changes, Mapping | None):
+        return changes
+    return {**written, **(changes or {})}
+
+
+def _differ(value: Any, other: Any) -> bool:
+    try:
+        return bool(value != other)
+    except ValueError:  # arrays, which no setting is
+        return True

@@ -15,7 +15,7 @@ from athrl_driving.envs.action import make_action
 from athrl_driving.envs.arguments import map_argument, refuse_arguments
 from athrl_driving.envs.env_view import EnvView
 from athrl_driving.envs.observation import BirdEyeObservation
-from athrl_driving.envs.reset_options import CONFIG, checked_options
+from athrl_driving.envs.reset_options import CONFIG, checked_options, with_written, written_settings
 from athrl_driving.envs.settings import (
     DEFAULTS,
     changed_settings,
@@ -86,14 +86,19 @@ class TownEnv(PlainSpec, AbstractEnv):
         return {**super().default_config(), **copy.deepcopy(DEFAULTS)}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
-        """Change settings; raises ValueError that names an unknown key or an invalid value."""
+        """Change settings, also those that were written to `config`.
+
+        Raises ValueError that names an unknown key or an invalid value.
+        """
         if self._scenario is not None:
             self.config = first_settings(self.config, self._scenario)
             self._scenario = None
-        settings = changed_settings(self.config, config, self._map)
-        town = town_of(settings, self.config, self.__dict__.get("town"))
+        adopted = self.__dict__.get("_adopted_config", self.config)
+        settings = changed_settings(adopted, with_written(config, self.config, adopted), self._map)
+        town = town_of(settings, adopted, self.__dict__.get("town"))
         episodes = new_episodes(settings, town, 1)
         super().configure(settings)  # only now: towns and places that do not exist have been refused
+        self._adopted_config = copy.deepcopy(self.config)
         self.town, self.episodes = town, episodes
         self._spaces_are_current = False
         if self.viewer is not None:  # it has drawn the ground of the town before
@@ -109,10 +114,11 @@ class TownEnv(PlainSpec, AbstractEnv):
     ) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Begin a new episode, after the settings of `options["config"]` have been changed, if there are any.
 
-        Raises DrivingError in one line for another option, an unknown setting or an invalid value.
+        So are those that were written to `config`. Raises DrivingError in one line for another option, an
+        unknown setting or an invalid value.
         """
         changes = checked_options(options, (CONFIG,)).get(CONFIG)
-        if changes is not None:
+        if changes is not None or written_settings(self.config, self._adopted_config):
             self.configure(changes)
         return super().reset(seed=seed)
 

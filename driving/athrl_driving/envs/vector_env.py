@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import numbers
 import os
 from collections.abc import Mapping, Sequence
@@ -17,7 +18,13 @@ from numpy.typing import NDArray
 from athrl_driving.envs.arguments import map_argument, refuse_arguments
 from athrl_driving.envs.env_view import EnvView
 from athrl_driving.envs.observation import observation_space
-from athrl_driving.envs.reset_options import CONFIG, RESET_MASK, checked_options
+from athrl_driving.envs.reset_options import (
+    CONFIG,
+    RESET_MASK,
+    checked_options,
+    with_written,
+    written_settings,
+)
 from athrl_driving.envs.settings import (
     changed_settings,
     first_settings,
@@ -90,9 +97,11 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
 
     def _adopt(self, settings: dict[str, Any]) -> None:
         """Make the episodes and the spaces for new settings; if that is refused nothing has changed."""
-        town = town_of(settings, getattr(self, "config", settings), getattr(self, "town", None))
+        town = town_of(settings, getattr(self, "_adopted_config", settings), getattr(self, "town", None))
         self.episodes = new_episodes(settings, town, self.num_envs, self._workers, self._observations)
-        self.town, self.config = town, settings
+        self.town, self._adopted_config = town, copy.deepcopy(settings)
+        self.config = getattr(self, "config", {})  # the same dict, to which somebody may write later
+        self.config.update(settings)
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": settings["policy_frequency"],
@@ -141,14 +150,15 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
         environment continues with its own random numbers.
 
         `options["config"]` changes settings of all environments before, so all of them have to be reset; what
-        `environment` returned before is then of the past. Raises DrivingError in one line for another option,
-        an unknown setting or an invalid value.
+        `environment` returned before is then of the past. So does what was written to `config`. Raises
+        DrivingError in one line for another option, an unknown setting or an invalid value.
         """
         options = checked_options(options, (CONFIG, RESET_MASK))
         mask = self._reset_mask(options.get(RESET_MASK))
         seeds = self._spread(seed)
-        if options.get(CONFIG) is not None:
-            self._change_settings(options[CONFIG], mask)
+        changes = options.get(CONFIG)
+        if changes is not None or written_settings(self.config, self._adopted_config):
+            self._change_settings(changes, mask)
         for e in np.flatnonzero(mask).tolist():
             if seeds[e] is not None:
                 self._generators[e] = seeding.np_random(seeds[e])[0]
@@ -305,17 +315,18 @@ class TownVectorEnv(PlainSpec, VectorEnv[Observations, NDArray, NDArray]):
     def _checked(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
         return self._action_type.checked(actions, (self.num_envs, 2))
 
-    def _change_settings(self, changes: Mapping[str, Any], mask: NDArray[np.bool_]) -> None:
+    def _change_settings(self, changes: Mapping[str, Any] | None, mask: NDArray[np.bool_]) -> None:
         if not mask.all():
             raise DrivingError(
                 "config and reset_mask are given, but all environments have the same settings: "
                 "reset all of them to change some"
             )
-        settings = changed_settings(self.config, changes, self._map)
-        if self._observations is not None and settings["image_size"] != self.config["image_size"]:
+        adopted = self._adopted_config
+        settings = changed_settings(adopted, with_written(changes, self.config, adopted), self._map)
+        if self._observations is not None and settings["image_size"] != adopted["image_size"]:
             raise DrivingError(
                 f"the setting image_size is {settings['image_size']!r}, it should stay "
-                f"{self.config['image_size']!r}: the vector shares the memory of its images"
+                f"{adopted['image_size']!r}: the vector shares the memory of its images"
             )
         self._adopt(settings)
 

@@ -9,7 +9,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from athrl_driving.maps.chords import CHORD, are_on_one_level, are_one_way, chords_of
+from athrl_driving.maps.chords import CHORD, Floats, Integers, are_on_one_level, are_one_way, chords_of
 from athrl_driving.maps.findings import Findings
 from athrl_driving.maps.near_pairs import near_pairs, refuse_many
 from athrl_driving.maps.opendrive.bounds import MOST_LYING_OVER
@@ -22,6 +22,9 @@ _OVER = 1.8
 
 _LEAST = 10.0
 """Metres of lane that are told of: less is where roads meet."""
+
+_ONE_PLACE = 25.0
+"""Metres along one road, below which its lanes are beside each other and not over each other."""
 
 _ALONG = math.sin(math.radians(10.0))
 
@@ -40,6 +43,7 @@ def note_lanes_lying_over(findings: Findings, segments: list[LaneSegment]) -> No
     numbers: dict[str, int] = {}
     road_of = [numbers.setdefault(segment.carriageway.road.id, len(numbers)) for segment in segments]
     road = np.array(road_of)[chords.segment]
+    station = _stations(segments, chords.segment, s)
     lying = 0
     found: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
     for a, b in near_pairs(middle[:, 0], middle[:, 1], CHORD, "parts of lanes"):
@@ -47,7 +51,8 @@ def note_lanes_lying_over(findings: Findings, segments: list[LaneSegment]) -> No
         between = middle[b] - middle[a]
         beside = np.abs(along[:, 0] * between[:, 1] - along[:, 1] * between[:, 0])
         near = (beside < _OVER * length[a]) & (chords.segment[a] < chords.segment[b])
-        near &= (np.hypot(between[:, 0], between[:, 1]) < CHORD) & (road[a] != road[b])
+        near &= np.hypot(between[:, 0], between[:, 1]) < CHORD
+        near &= (road[a] != road[b]) | (np.abs(station[a] - station[b]) > _ONE_PLACE)
         lying += int(near.sum())
         refuse_many(lying, MOST_LYING_OVER, "pairs of parts of lanes lie on each other")
         for first, second in zip(a[near].tolist(), b[near].tolist(), strict=True):
@@ -62,7 +67,17 @@ def note_lanes_lying_over(findings: Findings, segments: list[LaneSegment]) -> No
             continue
         if are_on_one_level(pair, places):
             own = {chord for chord, _ in pairs}
-            metres[f"road {roads[0]} and road {roads[1]}"] += float(length[list(own)].sum())
+            other = "itself" if roads[0] == roads[1] else f"road {roads[1]}"
+            metres[f"road {roads[0]} and {other}"] += float(length[list(own)].sum())
     for place, total in metres.items():
         if total >= _LEAST:
             findings.add(FOUND, f"{place}, all lanes together", total, allowed=True)
+
+
+def _stations(segments: list[LaneSegment], number: Integers, s: Floats) -> Floats:
+    """Return the stations on their roads of places `s` metres along the segments with these numbers."""
+    rows = [(each.carriageway.start, each.carriageway.end, each.length) for each in segments]
+    start, end, length = np.array(rows)[number].T
+    forward = np.array([segment.carriageway.forward for segment in segments])[number]
+    share = s / length
+    return np.asarray(start + np.where(forward, share, 1.0 - share) * (end - start))

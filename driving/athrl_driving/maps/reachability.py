@@ -94,7 +94,9 @@ def _parts_of_map(
     segments: list[LaneSegment], movements: list[Movement], ahead: Edges, pairs: Pairs
 ) -> tuple[list[int], list[int], list[int]]:
     """Return the part of every node, and the lanes on which roads enter and leave the map."""
-    metres = [segment.length for segment in segments] + [0.0] * (len(ahead) - len(segments))
+    # What was prolonged is shorter than a vehicle in the file: no reason to open a map that has loops.
+    metres = [0.0 if segment.prolonged else segment.length for segment in segments]
+    metres += [0.0] * (len(ahead) - len(segments))
     loops = _parts(ahead, pairs)
     enters, leaves = open_ends(len(segments), ahead, pairs)
     outside = len(ahead)

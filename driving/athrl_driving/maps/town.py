@@ -31,6 +31,7 @@ from athrl_driving.maps.outlines import LaneShapes, centre_lines
 from athrl_driving.maps.priority import priorities, ring_segments, turn_of, yielding_movements
 from athrl_driving.maps.reachability import Drivable, drivable_part
 from athrl_driving.maps.road_names import told_names
+from athrl_driving.maps.short_ends import prolong_short_ends, settle_short_ends
 from athrl_driving.maps.signals import signals_of
 from athrl_driving.maps.standing_segments import (
     all_segments,
@@ -47,6 +48,8 @@ LEFT_OUT_SHARE = 0.02
 """Of all driving metres: where more is left out, it is a warning."""
 
 _ROADS_NAMED = 5
+_LONGEST_NAME = 100
+"""Characters of a town's name that an error tells: somebody may give a file's text for its name."""
 
 _log = logging.getLogger(__name__)
 
@@ -133,8 +136,9 @@ def load_town(name: str | os.PathLike[str], *, strict: bool = False) -> Town:
     elif str(name) not in TOWNS:
         near = nearest_town(str(name))
         hint = f", did you mean {near!r}?" if near else "."
+        told = str(name) if len(str(name)) <= _LONGEST_NAME else f"{str(name)[:_LONGEST_NAME]}..."
         raise MapError(
-            f"there is no town named {str(name)!r}{hint} "
+            f"there is no town named {told!r}{hint} "
             f"There are {', '.join(TOWNS)}, {RANDOM_TOWNS}; a file is given by its path (.xodr)"
         )
     return _load_file(path, strict)
@@ -143,9 +147,11 @@ def load_town(name: str | os.PathLike[str], *, strict: bool = False) -> Town:
 def _load_file(path: Path, strict: bool) -> Town:
     try:
         path = path.expanduser().resolve(strict=True)
-        changed = path.stat().st_mtime_ns
+        state = path.stat()
     except (OSError, RuntimeError, ValueError):  # also a user's home that is not there, and a NUL in the name
         raise MapError(f"{one_line(str(path))}: there is no such file") from None
+    # A copy may keep the time of the original, which is not that of the file's own change.
+    changed = (state.st_mtime_ns, state.st_ctime_ns, state.st_ino, state.st_size)
     return _read_town(path, changed, strict)
 
 
@@ -168,7 +174,7 @@ def load_same_town(file: TownFile) -> Town:
 
 
 @lru_cache(maxsize=16)
-def _read_town(path: Path, _changed: int, strict: bool) -> Town:
+def _read_town(path: Path, _changed: tuple[int, ...], strict: bool) -> Town:
     town = _built(path.stem, one_line(path.name), lambda: read_opendrive(path, strict))
     return replace(town, file=town_file(town.name if path.parent == _FOLDER else str(path), path, strict))
 
@@ -196,6 +202,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     skip_very_short(carriageways)
     make_junctions_of_forks(carriageways)
     crossings = make_junctions_of_crossings(carriageways)
+    prolong_short_ends(carriageways)
     segments = all_segments(carriageways)
     standing = standing_segments(content.name, segments)
     drivable = drivable_part(carriageways, standing, find_movements(segments, standing))
@@ -203,6 +210,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     _check_drivable(content.name, drivable)
     kept = set(numbering.segments)
     lost = [segment for segment in segments if segment not in kept]
+    settle_short_ends(content.findings, dict.fromkeys(numbering.segments), lost)
     left_out = _left_out(content, lost)
     # Only of what is driven on: a road that is left out is in nobody's way.
     note_crossings(content.findings, crossings, kept)

@@ -73,9 +73,15 @@ _MAPS: dict[int, DrivableMap] = {}
 
 
 def drivable_grid(town: Town) -> DrivableMap:
-    """Return the grid of a town, which is drawn once. Raises `DrivingError` as `draw_drivable_map` does."""
+    """Return the grid of a town, which is drawn once.
+
+    Raises `DrivingError` as `draw_drivable_map` does; it names the town.
+    """
     if id(town) not in _MAPS:
-        _MAPS[id(town)] = draw_drivable_map(town.graph)
+        try:
+            _MAPS[id(town)] = draw_drivable_map(town.graph)
+        except DrivingError as error:
+            raise DrivingError(f"{town.name}: {error}") from None
         weakref.finalize(town, _MAPS.pop, id(town), None)
     return _MAPS[id(town)]
 

@@ -18,6 +18,9 @@ GAP = 0.01
 SAME_PLACE = 1e-6
 """Metres between two stations that are one, written with other roundings; so short a section is none."""
 
+SHORTEST_ROAD = 1e-5
+"""Metres: a road that is shorter, or has no length, is taken as so long, so that it links its neighbours."""
+
 LARGEST_GAP = 0.3
 """Metres of a jump, or of a length that differs, which are bridged: less than a car is steered by anyway.
 

@@ -60,6 +60,8 @@ class LaneSegment:
     may_right: bool = False
     junction: str = ""
     """The junction that it leads through; empty on ordinary road."""
+    prolonged: float = 0.0
+    """Metres by which it is longer than in the file: at its end, or at its start where below 0."""
     carriageway: "Carriageway" = field(init=False, repr=False)
 
     def at(self, s: float) -> tuple[float, float, float]:

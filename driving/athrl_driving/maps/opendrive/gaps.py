@@ -93,7 +93,7 @@ def _bridge(segment: LaneSegment, after: LaneSegment, gap: float, only_arrival: 
     """Bend the longer of two lanes of which no other lane needs the end."""
     free = [segment] if len(segment.successors) == 1 else []
     free += [after] if only_arrival else []
-    longest = max(free, key=lambda lane: lane.length, default=None)
+    longest = max(free, key=_stays_least, default=None)
     if longest is None or gap > SHARE_OF_GAP * longest.length:
         return
     start, middle, end = (longest.at(share * longest.length)[:2] for share in (0.0, 0.5, 1.0))
@@ -104,6 +104,15 @@ def _bridge(segment: LaneSegment, after: LaneSegment, gap: float, only_arrival: 
         start, moved = segment.at(segment.length)[:2], start
         middle = _shifted(middle, moved, start)
     _lead_along(longest, [start, middle, end])
+
+
+def _stays_least(segment: LaneSegment) -> tuple[float, str, float]:
+    """Return by what is chosen who is bent: the same side of a joint for both directions of a road.
+
+    Otherwise the lanes of two directions could be led onto each other.
+    """
+    carriageway = segment.carriageway
+    return round(carriageway.end - carriageway.start, 3), carriageway.road.id, -carriageway.start
 
 
 def _shifted(

@@ -10,15 +10,31 @@ from athrl_spaces.untrusted import one_line, parser_errors, read_untrusted
 from lxml import etree  # type: ignore[import-untyped]
 
 from athrl_driving.maps.findings import Findings
-from athrl_driving.maps.opendrive.bounds import LARGEST_FILE, LONGEST_TEXT, MOST_ATTRIBUTES, MOST_ELEMENTS
+from athrl_driving.maps.opendrive.bounds import (
+    GAP,
+    LARGEST_FILE,
+    LONGEST_TEXT,
+    MOST_ATTRIBUTES,
+    MOST_ELEMENTS,
+)
 from athrl_driving.maps.opendrive.element_reader import ElementReader
 from athrl_driving.maps.opendrive.lights import place_lights
-from athrl_driving.maps.opendrive.model import JunctionRecord, MapError, OpenDrive, Road, RoadLink, SpeedLimit
+from athrl_driving.maps.opendrive.model import (
+    Cubic,
+    JunctionRecord,
+    MapError,
+    OpenDrive,
+    Road,
+    RoadLink,
+    SpeedLimit,
+)
 from athrl_driving.maps.opendrive.reading_geometry import read_reference_line
 from athrl_driving.maps.opendrive.reading_junctions import read_contact, read_junction
 from athrl_driving.maps.opendrive.reading_lanes import read_sections
 from athrl_driving.maps.opendrive.reading_signals import read_controller, read_signals
 from athrl_driving.maps.opendrive.virtual_junctions import leave_out_virtual_junctions
+
+_NO_LINE = "a road without a reference line was left out"
 
 _ENCODING = re.compile(rb"<\?xml[^>]*encoding=[\"']([^\"']+)")
 
@@ -48,7 +64,8 @@ def parse_opendrive(name: str, text: bytes, strict: bool = False) -> OpenDrive:
             f"{name}: line {error.lineno}: this is not well-formed XML: {one_line(error.msg or '')}"
         ) from None
     if not content.roads:
-        raise MapError(f"{name}: there is no <road> in the file")
+        raise MapError(f"{name}: {_why_no_roads(findings)}")
+    _check_junctions(content)
     place_lights(content)
     leave_out_virtual_junctions(content)
     return content
@@ -130,14 +147,35 @@ def _read_part(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         road = _read_road(reader, content, element)
         if road.id in content.roads:
             raise reader.error(element, "there is already a road with this id")
-        if road.geometries and road.length > 0.0:
+        if road.geometries:
             content.roads[road.id] = road
         else:
-            reader.note(element, "a road without a reference line or a length was left out")
+            reader.note(element, _NO_LINE)
     elif element.tag == "junction":
         _add_junction(content, read_junction(reader, content, element))
     else:
         read_controller(reader, content, element)
+
+
+def _why_no_roads(findings: Findings) -> str:
+    if any(finding.kind == _NO_LINE for finding in findings):
+        return "no <road> in the file has a reference line (<planView> with <geometry>)"
+    return "there is no <road> in the file"
+
+
+def _check_junctions(content: OpenDrive) -> None:
+    """Read roads as ordinary ones that claim to be in a junction of which the file knows nothing else.
+
+    If other roads lead to the junction, its own element was lost, for example where a map was cut out of a
+    larger one, and the roads are still those through it.
+    """
+    links = [link for road in content.roads.values() for link in (road.predecessor, road.successor)]
+    known = content.junctions.keys() | {link.id for link in links if link is not None and link.is_junction}
+    for road in content.roads.values():
+        if road.in_junction and road.junction not in known:
+            kind = "a road of a junction that is not in the file was read as an ordinary road"
+            content.note(kind, road.id, None, road.line)
+            road.junction = "-1"
 
 
 def _add_junction(content: OpenDrive, junction: JunctionRecord) -> None:
@@ -159,19 +197,28 @@ def _read_road(reader: ElementReader, content: OpenDrive, element: etree._Elemen
         id=reader.road,
         name=_name(element) or f"road {reader.road}",
         length=length,
-        junction=element.get("junction") or "-1",
+        junction=(element.get("junction") or "").strip() or "-1",
         left_hand_traffic=_rule(reader, element) == "LHT",
         predecessor=_read_link(reader, element.find("link/predecessor")),
         successor=_read_link(reader, element.find("link/successor")),
         speeds=_read_speeds(reader, element),
         geometries=geometries,
-        elevations=reader.cubics(element.iterfind("elevationProfile/elevation"), "s", 0.0),
+        elevations=_read_heights(reader, element, length),
         offsets=reader.cubics(element.iterfind("lanes/laneOffset"), "s", 0.0),
         sections=read_sections(reader, element, length),
         signals=signals,
         references=references,
         line=element.sourceline or 0,
     )
+
+
+def _read_heights(reader: ElementReader, road: etree._Element, length: float) -> list[Cubic]:
+    """Return the records of a road's height in order, without those that begin at its end or behind it."""
+    heights = reader.cubics(road.iterfind("elevationProfile/elevation"), "s", 0.0)
+    kept = [record for record in heights if record.s < length]
+    if len(kept) < len(heights) and heights[-1].s > length + GAP:
+        reader.note(road, "a height behind the end of its road was passed over", heights[-1].s - length)
+    return kept or heights[:1]
 
 
 def _read_speeds(reader: ElementReader, road: etree._Element) -> list[SpeedLimit]:

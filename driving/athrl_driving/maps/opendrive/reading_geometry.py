@@ -6,9 +6,10 @@ import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 from lxml import etree  # type: ignore[import-untyped]
 
-from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_COORDINATE, LARGEST_GAP
+from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_COORDINATE, LARGEST_GAP, SHORTEST_ROAD
 from athrl_driving.maps.opendrive.element_reader import ElementReader
 from athrl_driving.maps.opendrive.model import Geometry
 
@@ -44,7 +45,13 @@ def read_reference_line(
         if following is None or following.s > geometry.s
     ]
     geometries = _from_start(reader, road, geometries)
-    return geometries, _length(reader, road, geometries, length)
+    length = _length(reader, road, geometries, length)
+    if length >= SHORTEST_ROAD:
+        return geometries, length
+    if length == 0.0:  # some micrometres are what exporters leave where two numbers were rounded
+        reader.note(road, "a road of no length was read as a link between those that it is linked to")
+    point = replace(geometries[0], s=0.0, length=SHORTEST_ROAD, kind="line", parameters=())
+    return [point], SHORTEST_ROAD
 
 
 def _from_start(reader: ElementReader, road: etree._Element, geometries: list[Geometry]) -> list[Geometry]:
@@ -99,11 +106,36 @@ def _read_geometry(reader: ElementReader, element: etree._Element) -> Geometry:
 def _range(reader: ElementReader, shape: etree._Element, parameters: list[float], length: float) -> float:
     """Return 1.0 where the parameter runs from 0 to 1, 0.0 where it is the length."""
     span = shape.get("pRange")
-    if span is None:
+    if not span:
         # Programs do not agree on what holds without it: the speed at the start tells.
         reader.note(shape, "a paramPoly3 without pRange was read by how fast its parameter runs")
         speed = math.hypot(parameters[1], parameters[5])
         return 1.0 if abs(speed - length) < abs(speed - 1.0) else 0.0
     if span.lower() not in _RANGES:
         raise reader.error(shape, f"pRange is {span!r}, it must be arcLength or normalized")
-    return _RANGES[span.lower()]
+    return _checked_range(reader, shape, parameters, length, _RANGES[span.lower()])
+
+
+def _checked_range(
+    reader: ElementReader, shape: etree._Element, parameters: list[float], length: float, said: float
+) -> float:
+    """Return the last parameter that the file says, or the other one where only that fits the length.
+
+    Raises `MapError` where neither does: what is drawn would be many times as long as the road, or a point.
+    """
+    runs = _run(parameters, 1.0 if said else length)
+    if length <= LARGEST_GAP or 0.5 * length <= runs <= 2.0 * length:
+        return said
+    other = _run(parameters, length if said else 1.0)
+    if abs(other - length) > 0.1 * length:
+        raise reader.error(shape, f"its <paramPoly3> is {runs:.3f} m long, its length is {length:.3f} m")
+    reader.note(shape, "a paramPoly3 was read with the other pRange, with which it is as long as it says")
+    return 1.0 - said
+
+
+def _run(parameters: list[float], last: float) -> float:
+    """Return the length (m) of a paramPoly3 whose parameter runs from 0 to `last`, of 64 chords."""
+    p = np.linspace(0.0, last, 65)
+    (_, b, c, d, _, e, f, g) = parameters
+    u, v = p * (b + p * (c + p * d)), p * (e + p * (f + p * g))
+    return float(np.hypot(np.diff(u), np.diff(v)).sum())
