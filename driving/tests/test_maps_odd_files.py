@@ -108,7 +108,7 @@ def helix(slope: float) -> str:
 
 def test_a_road_that_lies_on_itself_is_told_of_but_not_a_ramp_in_levels(tmp_path: Path) -> None:
     (found,) = town_from(tmp_path, helix(0.0)).findings
-    assert (found.kind, found.place) == (OVER, "road 1 and itself")
+    assert (found.kind, found.place) == (OVER, "road 1 and itself, all lanes together")
     assert (found.metres or 0.0) > 1_000.0
     assert town_from(tmp_path, helix(0.05)).findings == ()
 
