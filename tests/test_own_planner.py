@@ -99,7 +99,8 @@ def test_planner_of_ones_own_is_one_file_and_one_line(trained, folder: Path, sha
     few = ["--episodes", "2", "--set", "environment.episode_ticks=40", "--set", "environment.vehicles=0"]
     scored = shared_command.run("evaluate", "--policy", policy, *few, "--json", seconds=SECONDS)
     assert scored.returncode == 0, scored.stderr
-    assert json.loads(scored.stdout)["episodes"] == 2
+    of_its_run = {each["town"]: each["episodes"] for each in json.loads(scored.stdout)["towns"]}
+    assert of_its_run == dict.fromkeys(TOWNS, 2)
 
 
 def test_run_over_two_towns_is_scored_in_each(trained, folder: Path) -> None:
