@@ -130,11 +130,6 @@ def test_lanes_of_no_length_are_not_listed() -> None:
     assert dict(lines_of(replace(facts, left_out=left_out[1:])))["left out"].endswith(": 1 piece at joints")
 
 
-def test_facts_as_text_are_the_rows_of_the_report() -> None:
-    facts = facts_of(load_town("town04"))
-    assert str(facts).splitlines() == ["town04", *(f"{name}: {line}" for name, line in lines_of(facts))]
-
-
 def test_a_crossing_with_a_road_that_is_left_out_is_no_fault(tmp_path: Path) -> None:
     """A road from nowhere crosses a ring, on which vehicles drive on without end."""
     small_map = ring()

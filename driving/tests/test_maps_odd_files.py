@@ -75,7 +75,7 @@ def test_a_height_behind_the_end_of_its_road_holds_nowhere(tmp_path: Path) -> No
     town = town_from(tmp_path, text)
     assert kinds(town) == ["a height behind the end of its road was passed over"]
     assert set(town.graph.elevation) == {2.0}
-    assert "(500.000 m); the map is read strictly" in refusal(tmp_path, text, strict=True)
+    assert "be passed over (500 m), but the map is read strictly" in refusal(tmp_path, text, strict=True)
     town = town_from(tmp_path, alone(plan, before=elevation((0, 2, 0), (400, 50, 0))), strict=True)
     assert set(town.graph.elevation) == {2.0}
     town = town_from(tmp_path, alone(plan, before=elevation((900, 2, 0))))

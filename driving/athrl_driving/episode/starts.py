@@ -12,7 +12,7 @@ from athrl_driving.episode.ego import EGO_LENGTH
 from athrl_driving.errors import DrivingError
 from athrl_driving.maps import Town
 from athrl_driving.maps.lane_graph import LaneGraph
-from athrl_driving.maps.road_names import BY_ID, lane_called
+from athrl_driving.maps.road_names import BY_ID
 from athrl_driving.metrics import COMPLETION_SPEED
 from athrl_driving.route import PLAN_LANES, dead_end_distance, plan_length, shortest_route
 
@@ -97,7 +97,7 @@ class Journeys:
         try:
             plan = shortest_route(self._town.graph, lane, goal, around=goal == lane and goal_s <= s)
         except DrivingError:
-            start, end = lane_called(self._town, lane), lane_called(self._town, goal)
+            start, end = self._town.lane_called(lane), self._town.lane_called(goal)
             raise DrivingError(f"on the map {self._town.name} no way leads from {start} to {end}") from None
         if plan.size > PLAN_LANES:
             raise DrivingError(f"the way to the destination has {plan.size} lanes, it may have {PLAN_LANES}")

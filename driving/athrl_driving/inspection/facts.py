@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from athrl_driving.inspection.bends import Bends, bends_of
-from athrl_driving.inspection.lines import lines_of
 from athrl_driving.inspection.ways import mean_way
 from athrl_driving.maps import Town
 from athrl_driving.maps.findings import Findings
@@ -68,10 +67,6 @@ class MapFacts:
     def metres_left_out(self) -> float:
         """Return the length of the lanes that are left out, m."""
         return sum(metres for *_, metres in self.left_out)
-
-    def __str__(self) -> str:
-        """Return what `athrl maps check` prints before its trial, a line for each row."""
-        return "\n".join([self.name, *(f"{name}: {line}" for name, line in lines_of(self))])
 
 
 def facts_of(town: Town) -> MapFacts:

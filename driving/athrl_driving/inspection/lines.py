@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from athrl_spaces.wording import counted
 
+from athrl_driving.inspection.facts import MapFacts
 from athrl_driving.inspection.ways import EPISODE
-
-if TYPE_CHECKING:
-    from athrl_driving.inspection.facts import MapFacts
 
 _NAMED = 5
 _LEAST_NAMED = 0.5

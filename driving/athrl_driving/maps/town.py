@@ -112,6 +112,11 @@ class Town:
         """Return the same town, as nothing in it changes."""
         return self
 
+    def lane_called(self, lane: int) -> str:
+        """Return what messages call a lane of the graph."""
+        told = told_names(zip(self.road_id, self.road_name, strict=True))
+        return f"lane {self.lane_id[lane]} of {told[self.road_id[lane]]}"
+
     def lane_polylines(self, spacing: float = 2.0) -> list[NDArray[np.float64]]:
         """Return the centre line of every lane as points [n, 2] in metres, at most `spacing` metres apart."""
         graph = self.graph
