@@ -25,11 +25,11 @@ def prolong_short_ends(carriageways: list[Carriageway]) -> None:
     before = predecessors_of(segments)
     after = {segment: segment.successors for segment in segments}
     for carriageway in carriageways:
-        for onwards, backwards, sign in ((after, before, 1.0), (before, after, -1.0)):
+        for onwards, backwards, at_end in ((after, before, True), (before, after, False)):
             metres = _missing(carriageway.lanes, onwards, backwards)
             if metres > 0.0 and all(_bends_little(segment, metres) for segment in carriageway.lanes):
                 for segment in carriageway.lanes:
-                    _change_length(segment, sign * (metres + _ROUNDING))
+                    _lengthen(segment, metres + _ROUNDING, at_end)
 
 
 def _missing(lanes: list[LaneSegment], onwards: Links, backwards: Links) -> float:
@@ -65,17 +65,16 @@ def settle_short_ends(findings: Findings, kept: Iterable[LaneSegment], lost: Ite
             findings.add(FOUND, place, abs(segment.prolonged), allowed=True)
     for segment in lost:
         if segment.prolonged:
-            _change_length(segment, -segment.prolonged)
+            _lengthen(segment, -abs(segment.prolonged), at_end=segment.prolonged > 0.0)
 
 
-def _change_length(segment: LaneSegment, metres: float) -> None:
-    """Make a lane longer by some metres at its end, or at its start; as much shorter if it was prolonged."""
-    change = abs(metres) if not segment.prolonged else -abs(metres)
-    rise = (segment.end_elevation - segment.elevation) / segment.length * change
-    if (metres > 0.0) == (change > 0.0):
+def _lengthen(segment: LaneSegment, metres: float, at_end: bool) -> None:
+    """Make a lane longer by some metres, below 0 shorter, at its end or at its start."""
+    rise = (segment.end_elevation - segment.elevation) / segment.length * metres
+    if at_end:
         segment.end_elevation += rise
     else:
         segment.elevation -= rise
-        segment.x, segment.y, segment.heading = segment.at(-change)
-    segment.length += change
-    segment.prolonged += metres
+        segment.x, segment.y, segment.heading = segment.at(-metres)
+    segment.length += metres
+    segment.prolonged += metres if at_end else -metres

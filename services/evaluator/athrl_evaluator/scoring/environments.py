@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import PurePath
-from typing import Any
 
 from athrl_driving.policy import GuardedBatch, environment_config, spread_towns
 from athrl_protocol import RunFileError
@@ -17,9 +17,14 @@ from athrl_evaluator.scoring.case_studies import case_study_settings
 _SETTING_OF_KEY = {"vehicles": "vehicles_count"}
 """Keys of the run file that have another name among an environment's settings."""
 
-FIXED_BY_POLICY = frozenset(
-    ("image_size", "maximum_speed", "waypoint_radius", "waypoint_half_angle", "speed_gain")
-)
+_OF_POLICY: dict[str, Callable[[PolicyDescription], float]] = {
+    "image_size": lambda policy: policy.observation.image_size,
+    "maximum_speed": lambda policy: policy.limits.maximum_speed,
+    "waypoint_radius": lambda policy: policy.limits.waypoint_radius,
+    "waypoint_half_angle": lambda policy: math.degrees(policy.limits.waypoint_half_angle),
+    "speed_gain": lambda policy: policy.limits.speed_gain,
+}
+FIXED_BY_POLICY = frozenset(_OF_POLICY)
 """Keys of the run file whose values follow from the policy that drives."""
 
 
@@ -123,13 +128,6 @@ def require_fitting(description: PolicyDescription, section: EnvironmentSection)
             )
 
 
-def _fixed_by_policy(description: PolicyDescription) -> dict[str, Any]:
+def _fixed_by_policy(description: PolicyDescription) -> dict[str, float]:
     """The settings of an environment that follow from a policy, by their keys in the run file."""
-    limits = description.limits
-    return {
-        "image_size": description.observation.image_size,
-        "maximum_speed": limits.maximum_speed,
-        "waypoint_radius": limits.waypoint_radius,
-        "waypoint_half_angle": math.degrees(limits.waypoint_half_angle),
-        "speed_gain": limits.speed_gain,
-    }
+    return {key: value(description) for key, value in _OF_POLICY.items()}
