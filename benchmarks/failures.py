@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from athrl.errors import CommandError, expected_errors
-from athrl.evaluate import find_driver, run_file_of
+from athrl.evaluate.drivers import find_driver, run_file_of
 from athrl.train.plan import require_world
 from athrl_driving.policy import EnvironmentBatch, InvalidPolicy, OnnxPolicy, environment_config
 from athrl_driving.scene import Scene, VehiclePose

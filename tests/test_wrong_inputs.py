@@ -16,7 +16,7 @@ SECONDS = 200.0
 """Limit on a busy machine; on an idle one each takes two or three seconds."""
 
 LOADED = (
-    "athrl.evaluate",
+    "athrl.evaluate.command",
     "athrl.record",
     "athrl.services",
     "athrl.status",

@@ -37,7 +37,7 @@ SUBCOMMANDS = {
     "train": Subcommand("athrl.train.command:train", "Train on this machine.", _RUNS),
     "study": Subcommand("athrl.study.command:study", "Train a grid of runs; a table and curves.", _RUNS),
     "submit": Subcommand("athrl.submit.command:submit", "Train as jobs of Slurm.", _RUNS),
-    "evaluate": Subcommand("athrl.evaluate:evaluate", "Score a policy or a reference driver.", _RUNS),
+    "evaluate": Subcommand("athrl.evaluate.command:evaluate", "Score a policy or a reference driver.", _RUNS),
     "watch": Subcommand("athrl.watch:watch", "Show an episode in rerun.", _RUNS),
     "replay": Subcommand("athrl.replay:replay", "Drive a recorded episode again and compare.", _RUNS),
     "record": Subcommand("athrl.record:record", "Film a policy or a reference driver.", _RUNS),

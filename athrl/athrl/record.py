@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from athrl.errors import CommandError, needs
-from athrl.evaluate import check_town, find_driver
+from athrl.evaluate.drivers import find_driver
+from athrl.evaluate.places import check_town
 from athrl.options import DEFAULTS, OverwriteOption
 from athrl.stopping import stop_on_signal
 

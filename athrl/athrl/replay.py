@@ -12,7 +12,7 @@ from athrl_spaces.untrusted import one_line
 from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError, needs
-from athrl.evaluate import check_town
+from athrl.evaluate.places import check_town
 from athrl.options import JsonOption
 from athrl.output import of_json
 

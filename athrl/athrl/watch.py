@@ -11,7 +11,8 @@ from athrl_protocol.run_file import EnvironmentSection
 from athrl_spaces.wording import counted
 
 from athrl.errors import CommandError, needs
-from athrl.evaluate import check_town, find_driver
+from athrl.evaluate.drivers import find_driver
+from athrl.evaluate.places import check_town
 from athrl.options import (
     DEFAULTS,
     CertificatesOption,

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from athrl.errors import CommandError
-from athrl.evaluate import evaluate
+from athrl.evaluate.command import evaluate
 from athrl_driving.maps.town import _FOLDER as TOWNS
 from athrl_evaluator.policies.shipped import shipped_policy
 from athrl_evaluator.recording.reading import read_frames

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from athrl.errors import CommandError
-from athrl.evaluate import find_driver
+from athrl.evaluate.drivers import find_driver
 from athrl.policies import policies
 from athrl.watch import watch
 from athrl_evaluator.policies import shipped as shipped_policies

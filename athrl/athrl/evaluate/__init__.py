@@ -1,0 +1,1 @@
+"""Scores of a driver, in towns or in the paper's case studies."""
