@@ -2,12 +2,14 @@
 
 import itertools
 import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from athrl_driving.maps import MapError, Town, load_town
+from athrl_driving.maps.opendrive.reading_signals import UNREADABLE
 from athrl_driving.traffic.ego_columns import EGO_SIZE
 from athrl_driving.traffic.signals import GREEN, RED
 from athrl_driving.traffic.signals import light as light_of
@@ -314,3 +316,32 @@ def test_no_two_crossing_ways_are_ever_green_together(
     check_cycle(town)
     lit = [arm for arm in ARMS if on[arm] != "nothing"]
     assert sorted({way[0] for way in governed(town)}) == lit
+
+
+@pytest.mark.parametrize("tag", ["signal", "signalReference"])
+@pytest.mark.parametrize(
+    ("attribute", "value", "reason"),
+    [
+        ("s", "far", "s of <{tag}> is 'far', it must be a number"),
+        ("s", "nan", "s of <{tag}> is 'nan', it must be a number"),
+        ("fromLane", "one", "fromLane of <validity> is 'one', it must be a whole number"),
+        ("id", None, "<{tag}> has no attribute 'id'"),
+    ],
+)
+def test_light_that_cannot_be_read_is_left_out_and_the_others_hold(
+    tmp_path: Path, tag: str, attribute: str, value: str | None, reason: str
+) -> None:
+    text = crossing()
+    for arm in ARMS:
+        text = with_signals(text, arm, light("signal", f"s{arm}", s=0.2, lanes=(1, 1)))
+    broken = light(tag, "broken", s=0.3, lanes=(1, 1))
+    written = "" if value is None else f'{attribute}="{value}"'
+    broken, count = re.subn(rf'\b{attribute}="[^"]*"', written, broken)
+    assert count == 1
+    town = town_from(tmp_path, with_signals(text, 0, broken))
+    assert governed(town) == WAYS
+    [finding] = [each for each in town.findings if each.kind == UNREADABLE]
+    assert finding.place.startswith("road 0, line ")
+    assert finding.place.endswith(reason.format(tag=tag))
+    with pytest.raises(MapError, match="that cannot be read would be left out"):
+        load_town(tmp_path / "map.xodr", strict=True)

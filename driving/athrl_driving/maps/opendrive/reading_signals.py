@@ -9,7 +9,7 @@ from __future__ import annotations
 from lxml import etree  # type: ignore[import-untyped]
 
 from athrl_driving.maps.opendrive.element_reader import ElementReader
-from athrl_driving.maps.opendrive.model import OpenDrive, Signal
+from athrl_driving.maps.opendrive.model import MapError, OpenDrive, Signal
 
 VEHICLE_LIGHTS = frozenset({"1000001", "1000009", "1000010", "1000011", "1000012"})
 """OpenDRIVE's signal types of traffic lights for vehicles: with three colours or two, and with arrows.
@@ -22,20 +22,26 @@ OTHER_LIGHTS = frozenset({"1000002", "1000007", "1000013", "1000014"})
 
 _LIGHTS_BEGIN_WITH = "10000"
 
+UNREADABLE = "a traffic light, or a reference to one, that cannot be read was left out"
+
 
 def read_signals(
     reader: ElementReader, content: OpenDrive, road: etree._Element
 ) -> tuple[list[Signal], list[Signal]]:
     """Return a road's own traffic lights, and its references, whose signals may not have been read yet."""
-    lights = []
+    lights, references = [], []
     for element in road.iterfind("signals/signal"):
-        if _is_light(reader, content, element):
-            lights.append(_read_signal(reader, content, element))
-        else:
+        light = _readable(reader, element) if _is_light(reader, content, element) else None
+        if light is None:
             content.other_signals.add(element.get("id") or "")
-    references = [
-        _read_signal(reader, content, element) for element in road.iterfind("signals/signalReference")
-    ]
+        else:
+            content.count_light(light)
+            lights.append(light)
+    for element in road.iterfind("signals/signalReference"):
+        reference = _readable(reader, element)
+        if reference is not None:
+            content.count_light(reference)
+            references.append(reference)
     return lights, references
 
 
@@ -54,20 +60,27 @@ def _is_light(reader: ElementReader, content: OpenDrive, element: etree._Element
     return False
 
 
-def _read_signal(reader: ElementReader, content: OpenDrive, element: etree._Element) -> Signal:
+def _readable(reader: ElementReader, element: etree._Element) -> Signal | None:
+    """Return a light or a reference; None, and a note, where it is damaged: roads are driven without it."""
+    try:
+        return _read_signal(reader, element)
+    except MapError as error:
+        reader.findings.add(UNREADABLE, str(error).removeprefix(f"{reader.name}: "))
+        return None
+
+
+def _read_signal(reader: ElementReader, element: etree._Element) -> Signal:
     lanes = (
         (reader.whole(valid, "fromLane"), reader.whole(valid, "toLane"))
         for valid in element.iterchildren("validity")
     )
-    signal = Signal(
+    return Signal(
         id=reader.text(element, "id"),
         s=reader.station(element, "s"),
         orientation=element.get("orientation", "none"),
         lanes=tuple((min(pair), max(pair)) for pair in lanes),
         line=element.sourceline or 0,
     )
-    content.count_light(signal)
-    return signal
 
 
 def read_controller(reader: ElementReader, content: OpenDrive, element: etree._Element) -> None:
