@@ -51,7 +51,7 @@ class RunSection(Section):
         description="Root of the tree of seeds: run, service, environment, episode.",
     )
     environment_steps: int = Field(
-        default=1_000_000,
+        default=800_000,
         ge=1,
         le=MOST_STEPS,
         description="Decisions of all actors together after which the run ends.",
