@@ -39,7 +39,8 @@ _TAIL = """\
 
 - `python -m benchmarks.failures POLICY.onnx` lists each collision and lane exit of a policy: where, with
   whom, and what led to it.
-- `python -m benchmarks.ship_policy RUN NAME` scores a run's policy and puts it into the package with a card.
+- `python -m benchmarks.ship_policy RUN NAME --purpose TEXT` scores a run's policy and puts it into the
+  package with a card.
 - `python -m benchmarks.peers` trains planners of [other libraries](peers.md) beside ours.
 """
 
