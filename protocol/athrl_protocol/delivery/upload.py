@@ -21,6 +21,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 import zenoh
+from athrl_spaces.untrusted import one_short_line
 
 from athrl_protocol.codec.chunks import OLDEST_HELD_BYTES, Identity, encode_checked, with_oldest_held
 from athrl_protocol.codec.images import Compression
@@ -370,7 +371,7 @@ class ChunkUploader(Closeable):
                 self._window.rewind_to(message.expected_sequence)
                 return _Outcome.REWIND
             if message.reason == athrl_pb2.Refusal.INVALID:
-                _log.warning("the learner refused chunk %d: %s", sequence, message.text)
+                _log.warning("the learner refused chunk %d: %s", sequence, one_short_line(message.text))
                 self._window.give_up(sequence)
                 if sequence == sequences[-1]:
                     return _Outcome.CONTINUE
