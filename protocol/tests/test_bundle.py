@@ -115,7 +115,10 @@ def test_busy_in_the_middle_keeps_what_was_taken_and_brings_the_rest_again(send,
 
 
 def test_invalid_chunk_in_the_middle_is_given_up_alone(send, learner, queries, caplog) -> None:
-    learner.refuse = {4: InvalidMessage("value", "not\nfor\x1b[2J this run"), 16: InvalidMessage("value", "neither")}
+    learner.refuse = {
+        4: InvalidMessage("value", "not\nfor\x1b[2J this run"),
+        16: InvalidMessage("value", "neither"),
+    }
     uploader, intake = send(16)
     assert learner.marks == [mark for mark in range(17) if mark not in (4, 16)]
     statistics = uploader.statistics()
