@@ -12,8 +12,8 @@ from athrl_protocol.run_file import ActorSection, EnvironmentSection
 from athrl_spaces import REFERENCE_DRIVERS
 
 from athrl_evaluator.errors import EvaluatorError
-from athrl_evaluator.observers import Recorder, recording_path
 from athrl_evaluator.policies.files import load_policy
+from athrl_evaluator.recording.recorder import Recorder, recording_path
 from athrl_evaluator.scoring.drivers import BatchDriver, GreedyPolicy, ReferenceDriver
 from athrl_evaluator.scoring.environments import Environments, environment_for, require_fitting, town_labels
 from athrl_evaluator.scoring.episodes import EpisodeObserver, drive_episodes
