@@ -19,8 +19,6 @@ from athrl_planners.training.frames import PaddedFrames, SequenceFrames, Transit
 from athrl_planners.training.level import Level
 from athrl_planners.training.mirror import mirrored
 
-Arrays = Mapping[str, np.ndarray]
-
 
 @dataclass(frozen=True)
 class LevelData:
