@@ -13,13 +13,13 @@ import warnings
 
 import onnx
 import torch
+from athrl_spaces.policy import METADATA_KEY
 from onnx import ModelProto
 from torch import Tensor, nn
 
 from athrl_planners.training.agent import Agent
 from athrl_planners.training.policy import PolicyNetwork
 
-METADATA_KEY = "athrl"
 OPSET = 17  # the first with LayerNormalization
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,12 @@ def test_damaged_file_is_named(tmp_path: Path, content: bytes) -> None:
         read_address(tmp_path)
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 2_000
+
+
+def test_pipe_in_place_of_the_file_is_refused_without_a_wait(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / ADDRESS_FILE)
+    with pytest.raises(ProtocolError, match=f"{ADDRESS_FILE} is a pipe, socket or device, should be a file"):
+        read_address(tmp_path)
 
 
 def test_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:

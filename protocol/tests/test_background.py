@@ -103,6 +103,19 @@ def test_wait_for_a_value_ends_when_decoding_it_fails(listen: Open, connect: Ope
     assert str(error).startswith("the subscription to athrl/x/policy failed: Panic: no memory")
 
 
+def test_publishers_that_never_answer_do_not_keep_the_session_waiting(listen: Open, connect: Open) -> None:
+    learner = listen()
+    with (
+        LatestSubscriber(learner, "athrl/x/*", lambda _: None),
+        PresenceWatcher(learner, RUN) as presence,
+    ):
+        stranger = connect()
+        tokens = [stranger.liveliness().declare_token(f"athrl/x/{number}") for number in range(600)]
+        with announce_presence(connect(), RUN, "actor", "a"):
+            assert presence.wait_for(lambda present: ("actor", "a") in present, PATIENCE)
+        assert len(tokens) == 600  # they lasted until here
+
+
 def test_closed_session_is_no_failure(listen: Open, connect: Open) -> None:
     listen()
     session = connect()

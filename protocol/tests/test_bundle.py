@@ -115,13 +115,17 @@ def test_busy_in_the_middle_keeps_what_was_taken_and_brings_the_rest_again(send,
 
 
 def test_invalid_chunk_in_the_middle_is_given_up_alone(send, learner, queries, caplog) -> None:
-    learner.refuse = {4: InvalidMessage("value", "not for this run"), 16: InvalidMessage("value", "neither")}
+    learner.refuse = {
+        4: InvalidMessage("value", "not\nfor\x1b[2J this run"),
+        16: InvalidMessage("value", "neither"),
+    }
     uploader, intake = send(16)
     assert learner.marks == [mark for mark in range(17) if mark not in (4, 16)]
     statistics = uploader.statistics()
     assert (statistics.acknowledged, statistics.given_up_by_reason["invalid"]) == (15, 2)
     refused = [message for message in caplog.messages if message.startswith("the learner refused chunk ")]
     assert [message.split()[4] for message in refused] == ["4:", "16:"]
+    assert all(message.isprintable() for message in refused)
     assert (intake.statistics().stored, intake.statistics().refused) == (15, 2)
     assert intake.statistics().lost == 0
 

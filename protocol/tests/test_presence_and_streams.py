@@ -91,6 +91,17 @@ def test_change_of_presence_is_told(listen: Open, connect: Open, eventually: Eve
     assert changes == [frozenset({("actor", "a")}), frozenset()]
 
 
+def test_token_that_names_no_service_is_not_present(listen: Open, connect: Open) -> None:
+    with PresenceWatcher(listen(), RUN) as watcher:
+        stranger = connect()
+        keys = [f"athrl/{RUN}/alive/{place}" for place in ("actor/a b", "actor/a\nb", "ac\x1b[2J/a")]
+        tokens = [stranger.liveliness().declare_token(key) for key in keys]
+        with announce_presence(stranger, RUN, "actor", "a"):  # declared last, so it is seen last
+            assert watcher.wait_for(lambda present: ("actor", "a") in present, PATIENCE)
+            assert watcher.present() == {("actor", "a")}
+        assert len(tokens) == 3  # they lasted until here
+
+
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "-a", "ä", "a" * 128, "a\n", "$*", "a#b"])
 def test_name_that_cannot_be_a_key_is_refused_in_one_line(name: str) -> None:
     with pytest.raises(ProtocolError, match=r"name .* cannot be used: letters, digits"):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from athrl_protocol import SCHEMA_HASH, SCHEMA_VERSION, InvalidMessage
+from athrl_protocol.announcements import evaluation, policy, state
 from athrl_protocol.messages import athrl_pb2
 from athrl_protocol.messages.schema import decode_message, encode_message
 
@@ -46,3 +50,34 @@ def test_message_of_another_schema_is_refused_by_name(change: dict[str, int]) ->
     with pytest.raises(InvalidMessage, match=r"Metrics: schema .* this program has schema") as caught:
         decode_message(athrl_pb2.Metrics, message.SerializeToString())
     assert caught.value.reason == "schema"
+
+
+def _policy(**counts: int) -> bytes:
+    return encode_message(athrl_pb2.Policy(sha256=hashlib.sha256(b"").digest(), **counts))
+
+
+def _state(**counts: int) -> bytes:
+    return encode_message(athrl_pb2.RunState(phase=athrl_pb2.RunState.TRAINING, **counts))
+
+
+def _evaluation(**counts: int) -> bytes:
+    return encode_message(athrl_pb2.Evaluation(driver="policy", town="town03", **counts))
+
+
+@pytest.mark.parametrize(
+    ("encode", "decode", "count"),
+    [
+        (_policy, policy._decode, "version"),
+        (_policy, policy._decode, "environment_steps"),
+        (_state, state._decode, "environment_steps"),
+        (_state, state._decode, "policy_version"),
+        (_evaluation, evaluation._decode, "policy_version"),
+        (_evaluation, evaluation._decode, "environment_steps"),
+    ],
+)
+def test_count_that_a_signed_integer_cannot_hold_is_refused_by_name(
+    encode: Callable[..., bytes], decode: Callable[[bytes], Any], count: str
+) -> None:
+    assert getattr(decode(encode(**{count: 2**63 - 1})), count) == 2**63 - 1
+    with pytest.raises(InvalidMessage, match=rf"{count} is 9223372036854775808, should be at most 2\^63 - 1"):
+        decode(encode(**{count: 2**63}))

@@ -28,6 +28,9 @@ MOST_SEEN, LONGEST_NAME, LONGEST_TEXT, LARGEST_NUMBER = 64, 256, 2**20, 1e9
 GAIN_OF_OLDER_FILES = 0.7
 """1/s, of the speed loop; files that do not say it were made for the gain of the authors' release."""
 
+METADATA_KEY = "athrl"
+"""Under which a policy's file has its description."""
+
 LARGEST_ARTEFACT = 320 * 2**20
 """Bytes of a policy's file. The paper's planner has 12 MB; opening takes three times as much memory."""
 

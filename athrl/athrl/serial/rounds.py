@@ -91,7 +91,7 @@ class SerialRun:
         self._trace = trace
         self._observers = observers
         self._every = Intervals.of(run_file)
-        self._intake = LocalIntake(components.store, components.ledger)
+        self._intake = LocalIntake(components.store, components.ledger, run_file.network.compression)
         self._saved = False  # whether the newest checkpoint has the current state
 
     @property

@@ -19,14 +19,13 @@ except ModuleNotFoundError as error:
     ) from None
 
 from athrl_spaces import Continuous, InvalidDescription, LevelDescription, PolicyDescription
+from athrl_spaces.policy import METADATA_KEY
 from athrl_spaces.untrusted import one_line, parser_errors
 from numpy.typing import NDArray
 
 from athrl_driving.policy.graph import GraphCheck
 from athrl_driving.policy.graph.onnx_model_pb2 import ValueInfo
 from athrl_driving.policy.graph.values import FLOAT, UINT8, Value
-
-METADATA_KEY = "athrl"
 
 _TYPES = {FLOAT: "tensor(float)", UINT8: "tensor(uint8)"}
 

@@ -1,6 +1,6 @@
 """Experience replay: a ring buffer of sequences, and sampled batches."""
 
-from athrl_planners.replay.batches import Batch, Sequence, SequenceBatch, TransitionBatch
+from athrl_planners.replay.batches import Batch, Decisions, Sequence, SequenceBatch, TransitionBatch
 from athrl_planners.replay.sequences import SequenceReplay
 
-__all__ = ["Batch", "Sequence", "SequenceBatch", "SequenceReplay", "TransitionBatch"]
+__all__ = ["Batch", "Decisions", "Sequence", "SequenceBatch", "SequenceReplay", "TransitionBatch"]

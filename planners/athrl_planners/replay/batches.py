@@ -70,15 +70,13 @@ class SequenceBatch:
 
 
 @dataclass(frozen=True)
-class TransitionBatch:
-    """A batch of single decisions and their outcomes, for planners without a memory.
+class Decisions:
+    """Single decisions and their outcomes, without the observations.
 
     The outcome of a decision is observed after some numbers of steps, the horizons, or at the end of the
     sequence if that is earlier.
 
     Attributes:
-        images: uint8 [1 + horizons, batch, height, width, channels]: at the decision, and after each horizon.
-        motion: float32 [1 + horizons, batch, motion], at the same times.
         actions: of each level float32 [batch, n].
         last_actions: of each level float32 [horizons, batch, n]: the last decision before each horizon.
         rewards: of each level float32 [batch, longest horizon]; 0 after the end of the sequence.
@@ -86,12 +84,9 @@ class TransitionBatch:
         terminated: bool [horizons, batch], the episode terminated within the horizon.
         initial_state: of each level float32 [batch, state], stored state at the start of its sequence.
         step: int64 [batch], decisions of the sequence before this one.
-        places: int64 [batch], indices in the replay, for new priorities.
-        weights: float32 [batch], importance weights, at most 1.
+        weights: float32 [batch], importance weights, at most 1; 0 of what is not trained.
     """
 
-    images: np.ndarray
-    motion: np.ndarray
     actions: dict[str, np.ndarray]
     last_actions: dict[str, np.ndarray]
     rewards: dict[str, np.ndarray]
@@ -99,8 +94,22 @@ class TransitionBatch:
     terminated: np.ndarray
     initial_state: dict[str, np.ndarray]
     step: np.ndarray
-    places: np.ndarray
     weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class TransitionBatch(Decisions):
+    """A batch of single decisions and their outcomes, for planners without a memory.
+
+    Attributes:
+        images: uint8 [1 + horizons, batch, height, width, channels]: at the decision, and after each horizon.
+        motion: float32 [1 + horizons, batch, motion], at the same times.
+        places: int64 [batch], indices in the replay, for new priorities.
+    """
+
+    images: np.ndarray
+    motion: np.ndarray
+    places: np.ndarray
 
     @property
     def transitions(self) -> int:

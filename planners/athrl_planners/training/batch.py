@@ -13,13 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from athrl_planners.replay import Batch, SequenceBatch, TransitionBatch
+from athrl_planners.replay import Batch, Decisions, SequenceBatch, TransitionBatch
 from athrl_planners.settings import PlannerSettings
 from athrl_planners.training.frames import PaddedFrames, SequenceFrames, TransitionFrames
 from athrl_planners.training.level import Level
 from athrl_planners.training.mirror import mirrored
-
-Arrays = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -129,20 +127,7 @@ class BatchPreparation:
     def _transitions(self, batch: TransitionBatch) -> TrainingBatch:
         every = np.arange(len(batch.step))
         frames = TransitionFrames(self._tensor(batch.images), self._tensor(batch.motion))
-        levels = {
-            level.name: self._level_data(
-                level,
-                actions=batch.actions[level.name],
-                last_actions=batch.last_actions[level.name],
-                rewards=batch.rewards[level.name],
-                steps=batch.steps,
-                ends=batch.terminated,
-                state=batch.initial_state[level.name],
-                step=batch.step,
-                weights=batch.weights,
-            )
-            for level in self._levels
-        }
+        levels = {level.name: self._level_data(level, batch) for level in self._levels}
         return TrainingBatch(frames, {}, levels, self._tensor(every), len(every))
 
     def _sequences(self, batch: SequenceBatch) -> TrainingBatch:
@@ -151,25 +136,8 @@ class BatchPreparation:
         trained = ((steps >= burn_in) & (steps < batch.length)).ravel()
         chosen = np.arange(time * count) if self._constant_shapes else np.flatnonzero(trained)
         step, index = np.divmod(chosen, count)
-        # At least one step, for padding: the frame there exists, and its value has no weight.
-        ahead = np.maximum(1, np.minimum(np.array(self.horizons)[:, None], batch.length[index] - step))
-        window = step[:, None] + np.arange(max(self.horizons))
-        inside = window < batch.length[index][:, None]
-        window = np.minimum(window, time - 1)
-        levels = {
-            level.name: self._level_data(
-                level,
-                actions=batch.actions[level.name][index, step],
-                last_actions=batch.actions[level.name][index, step + ahead - 1],
-                rewards=np.where(inside, batch.rewards[level.name][index[:, None], window], np.float32(0)),
-                steps=ahead,
-                ends=batch.terminated[index] & (step + ahead == batch.length[index]),
-                state=batch.initial_state[level.name][index],
-                step=step,
-                weights=batch.weights[index] * trained[chosen],
-            )
-            for level in self._levels
-        }
+        decisions = self._decisions(batch, index, step, trained[chosen])
+        levels = {level.name: self._level_data(level, decisions) for level in self._levels}
         states = {
             name: self._tensor(batch.initial_state[name][:, :size])
             for name, size in self._trunk_state.items()
@@ -181,11 +149,11 @@ class BatchPreparation:
                 self._tensor(batch.images.swapaxes(0, 1)),
                 self._tensor(batch.motion.swapaxes(0, 1)),
                 self._tensor((steps < burn_in).reshape(-1, 1)),
-                self._tensor(chosen + count * ahead),
+                self._tensor(chosen + count * decisions.steps),
             )
             return TrainingBatch(frames, states, levels, item_of, count)
         return TrainingBatch(
-            self._without_padding(batch, burn_in, chosen, ahead), states, levels, item_of, count
+            self._without_padding(batch, burn_in, chosen, decisions.steps), states, levels, item_of, count
         )
 
     def _without_padding(
@@ -205,36 +173,53 @@ class BatchPreparation:
             self._tensor(ahead),
         )
 
-    def _level_data(
-        self,
-        level: Level,
-        *,
-        actions: np.ndarray,
-        last_actions: np.ndarray,
-        rewards: np.ndarray,
-        steps: np.ndarray,
-        ends: np.ndarray,
-        state: np.ndarray,
-        step: np.ndarray,
-        weights: np.ndarray,
-    ) -> LevelData:
-        """Make the training data of a level; shapes as in `TransitionBatch`."""
+    def _decisions(
+        self, batch: SequenceBatch, index: np.ndarray, step: np.ndarray, trained: np.ndarray
+    ) -> Decisions:
+        """The decisions at these steps of these sequences; of those that are not trained, without weight."""
+        length, names = batch.length[index], [level.name for level in self._levels]
+        time = next(iter(batch.rewards.values())).shape[1]
+        # At least one step, for padding: the frame there exists, and its value has no weight.
+        ahead = np.maximum(1, np.minimum(np.array(self.horizons)[:, None], length - step))
+        window = step[:, None] + np.arange(max(self.horizons))
+        inside = window < length[:, None]
+        window = np.minimum(window, time - 1)
+        return Decisions(
+            actions={name: batch.actions[name][index, step] for name in names},
+            last_actions={name: batch.actions[name][index, step + ahead - 1] for name in names},
+            rewards={
+                name: np.where(inside, batch.rewards[name][index[:, None], window], np.float32(0))
+                for name in names
+            },
+            steps=ahead,
+            terminated=batch.terminated[index] & (step + ahead == length),
+            initial_state={name: batch.initial_state[name][index] for name in names},
+            step=step,
+            weights=batch.weights[index] * trained,
+        )
+
+    def _level_data(self, level: Level, decisions: Decisions) -> LevelData:
+        """Make the training data of a level."""
         settings, every = self._settings, level.plan.every
+        rewards, steps, step = decisions.rewards[level.name], decisions.steps, decisions.step
+        weights = decisions.weights
         horizon = self.horizons.index(_horizon(level, settings))
-        ahead, ended = steps[horizon], ends[horizon]
+        ahead, ended = steps[horizon], decisions.terminated[horizon]
         powers = settings.discount ** np.arange(rewards.shape[1])
         counted = np.arange(rewards.shape[1]) < ahead[:, None]
         reward = settings.reward_scale * ((rewards * counted) @ powers)
         reward -= ended * settings.end_penalty * settings.discount ** (ahead - 1)
         held = in_force = None
         if every > 1:
-            left = state[:, -1].round().astype(np.int64)  # decisions for which it is still held at the start
+            # decisions for which it is still held at the start
+            left = decisions.initial_state[level.name][:, -1].round().astype(np.int64)
             weights = weights * ((left - step) % every == 0)
             held = self._tensor((left - step - steps) % every != 0)
-            in_force = torch.stack([level.rule.encode(self._tensor(each)) for each in last_actions])
+            last = decisions.last_actions[level.name]
+            in_force = torch.stack([level.rule.encode(self._tensor(each)) for each in last])
         total = weights.sum()
         return LevelData(
-            taken=level.rule.encode(self._tensor(actions)),
+            taken=level.rule.encode(self._tensor(decisions.actions[level.name])),
             reward=self._tensor(reward.astype(np.float32)),
             discount=self._tensor(np.where(ended, 0.0, settings.discount**ahead).astype(np.float32)),
             weights=self._tensor((weights / (total if total > 0 else 1.0)).astype(np.float32)),

@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from athrl_spaces.untrusted import UntrustedFile, read_untrusted
 from athrl_spaces.wording import system_reason
 
 from athrl_protocol.errors import ProtocolError
@@ -27,13 +28,14 @@ def read_address(folder: Path) -> str | None:
         ProtocolError: the file cannot be read, or holds no address.
     """
     path = folder / ADDRESS_FILE
-    try:
-        with path.open("rb") as file:
-            address = file.read(_LONGEST).decode(errors="replace").strip()
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return None
-    except OSError as error:
-        raise ProtocolError(f"cannot read {path}: {system_reason(error)}") from None
+    try:
+        address = read_untrusted(path, _LONGEST).decode(errors="replace").strip()
+    except UntrustedFile as error:
+        if not os.path.lexists(path):  # its learner has just ended
+            return None
+        raise ProtocolError(f"{path} {error}") from None
     try:
         split_address(address)
     except ProtocolError as error:

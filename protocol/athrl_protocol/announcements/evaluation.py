@@ -11,7 +11,13 @@ from athrl_protocol.announcements.typed import TypedPublisher, TypedSubscriber
 from athrl_protocol.messages import athrl_pb2
 from athrl_protocol.messages.keys import Keys
 from athrl_protocol.messages.limits import LARGEST_NUMBERS
-from athrl_protocol.messages.schema import check_numbers, check_text, decode_message, encode_message
+from athrl_protocol.messages.schema import (
+    check_counts,
+    check_numbers,
+    check_text,
+    decode_message,
+    encode_message,
+)
 from athrl_protocol.transport.closeable import Closeable
 
 
@@ -52,6 +58,9 @@ def _encode(result: EvaluationResult) -> bytes:
 def _decode(payload: bytes) -> EvaluationResult:
     message = decode_message(athrl_pb2.Evaluation, payload, largest=LARGEST_NUMBERS)
     check_numbers("evaluation", message.scores)
+    check_counts(
+        "evaluation", policy_version=message.policy_version, environment_steps=message.environment_steps
+    )
     for kind, text in (("driver", message.driver), ("town", message.town)):
         check_text("evaluation", kind, text)
     return EvaluationResult(

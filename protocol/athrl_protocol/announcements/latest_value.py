@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -38,6 +39,10 @@ QUERY_SECONDS = 5.0
 RETRY_SECONDS = 0.05
 # Shortest time between two queries because of reminders, so that a slow value is not sent many times.
 REMINDED_SECONDS = 1.0
+# New publishers that wait for their query. Further ones are not asked: whoever makes up thousands that do not
+# answer must not keep the session waiting, and what a publisher sends is taken in any case.
+MOST_WAITING = 1024
+IDLE_SECONDS = 5.0  # after which the thread looks whether its session was closed
 
 
 class Version(NamedTuple):
@@ -164,15 +169,10 @@ class LatestSubscriber(Closeable):
         self._cancel = zenoh.CancellationToken()
         self._session = session
         self._key = key
+        self._new_publishers: queue.Queue[str | None] = queue.Queue(MOST_WAITING)  # keys; None: closed
         self._subscriber = session.declare_subscriber(key, self._take)
-        self._publishers = session.liveliness().declare_subscriber(key, history=True)
-        # By its handler: Subscriber.recv would prevent `close` from undeclaring it.
-        self._asker = threading.Thread(
-            target=self._query_new_publishers,
-            args=(self._publishers.handler,),
-            name="newest",
-            daemon=True,
-        )
+        self._publishers = session.liveliness().declare_subscriber(key, self._note_publisher, history=True)
+        self._asker = threading.Thread(target=self._query_new_publishers, name="newest", daemon=True)
         self._asker.start()
 
     def ask(self) -> None:
@@ -196,6 +196,8 @@ class LatestSubscriber(Closeable):
         self._cancel.cancel()
         for declared in (self._publishers, self._subscriber):
             undeclare_quietly(declared)
+        with contextlib.suppress(queue.Full):
+            self._new_publishers.put_nowait(None)
         with self._lock:  # the last delivery ends
             pass
         if threading.current_thread() is not self._asker:
@@ -255,22 +257,30 @@ class LatestSubscriber(Closeable):
             return True
         return key in self._without_publisher and version.incarnation != known.incarnation
 
-    def _query_new_publishers(self, publishers: zenoh.handlers.Handler[zenoh.Sample]) -> None:
+    def _note_publisher(self, event: zenoh.Sample) -> None:
+        """Note that a publisher has come or left; called in Zenoh's thread, which must not wait."""
+        with self._background.watched():
+            key = str(event.key_expr)
+            if event.kind != zenoh.SampleKind.PUT:
+                with self._lock:
+                    self._without_publisher.add(key)
+                return
+            with contextlib.suppress(queue.Full):
+                self._new_publishers.put_nowait(key)
+
+    def _query_new_publishers(self) -> None:
         """Query every new publisher for its newest value, until closed."""
         with self._background.watched():
-            while not self._closed.is_set():
+            while not self._closed.is_set() and not self._session.is_closed():
                 try:
-                    event = publishers.recv()
-                    key = str(event.key_expr)
-                    if event.kind == zenoh.SampleKind.PUT:
+                    key = self._new_publishers.get(timeout=IDLE_SECONDS)
+                    if key is not None:
                         self._query(key)
-                    else:
-                        with self._lock:
-                            self._without_publisher.add(key)
+                except queue.Empty:
+                    continue
                 except zenoh.ZError:
-                    if self._closed.is_set() or self._session.is_closed():
-                        return
-                    raise
+                    if not (self._closed.is_set() or self._session.is_closed()):
+                        raise
 
     def _query(self, key: str) -> None:
         """Query the publisher of a key, and repeat that for some time if it does not answer."""

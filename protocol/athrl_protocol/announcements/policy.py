@@ -14,7 +14,7 @@ from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.messages import athrl_pb2
 from athrl_protocol.messages.keys import Keys
 from athrl_protocol.messages.limits import LARGEST_POLICY
-from athrl_protocol.messages.schema import decode_message, encode_message
+from athrl_protocol.messages.schema import check_counts, decode_message, encode_message
 
 REMIND_SECONDS = 0.5
 """Seconds between reminders, so that an actor that missed a policy has it within a second."""
@@ -61,6 +61,12 @@ def _encode(update: PolicyUpdate) -> bytes:
 
 def _decode(payload: bytes) -> PolicyUpdate:
     message = decode_message(athrl_pb2.Policy, payload, largest=LARGEST_POLICY)
+    check_counts(
+        "policy",
+        version=message.version,
+        updates=message.updates,
+        environment_steps=message.environment_steps,
+    )
     if hashlib.sha256(message.artefact).digest() != message.sha256:
         raise InvalidMessage("checksum", f"policy {message.version}: its artefact arrived damaged")
     if not (math.isfinite(message.noise_scale) and message.noise_scale >= 0):

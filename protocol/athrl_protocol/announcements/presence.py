@@ -9,7 +9,7 @@ from collections.abc import Callable
 import zenoh
 
 from athrl_protocol.faults.background import Background
-from athrl_protocol.messages.keys import Keys, role_and_name_of
+from athrl_protocol.messages.keys import Keys, is_name, role_and_name_of
 from athrl_protocol.transport.closeable import Closeable
 from athrl_protocol.transport.session import undeclare_quietly
 
@@ -41,9 +41,8 @@ class PresenceWatcher(Closeable):
         session: an open session, which stays the caller's.
         run: name of the run.
         on_change: called with the new set after each change, from another thread.
-        role: watch services of this role only.
-        name: watch only this service of that role. Each watcher gets a message for every service that it
-            watches, so a thousand services that watch each other cause a million messages.
+
+    A thousand services that watch each other cause a million messages: `PresencePoll` can watch one of them.
 
     Errors in the other thread are logged, and raised as BackgroundFailed by `present` and `wait_for`.
     """
@@ -53,8 +52,6 @@ class PresenceWatcher(Closeable):
         session: zenoh.Session,
         run: str,
         on_change: Callable[[frozenset[tuple[str, str]]], None] | None = None,
-        role: str | None = None,
-        name: str | None = None,
     ) -> None:
         self._on_change = on_change
         self._changed = threading.Condition()
@@ -62,7 +59,7 @@ class PresenceWatcher(Closeable):
         self._present: frozenset[tuple[str, str]] = frozenset()
         # With history, because a query for tokens can come back empty behind a router.
         self._subscriber = session.liveliness().declare_subscriber(
-            _watched(Keys(run), role, name), self._take, history=True
+            Keys(run).every_alive, self._take, history=True
         )
 
     def present(self) -> set[tuple[str, str]]:
@@ -95,6 +92,8 @@ class PresenceWatcher(Closeable):
 
     def _note(self, sample: zenoh.Sample) -> None:
         service = role_and_name_of(str(sample.key_expr))
+        if not all(map(is_name, service)):
+            return  # a stranger's, whose signs would come into the log and onto the screen
         with self._changed:
             if sample.kind == zenoh.SampleKind.PUT:
                 present = self._present | {service}
@@ -117,8 +116,11 @@ class PresencePoll(Closeable):
 
     def __init__(self, session: zenoh.Session, run: str, role: str, name: str | None = None) -> None:
         self._present: set[str] = set()
+        keys = Keys(run)
         self._subscriber = session.liveliness().declare_subscriber(
-            _watched(Keys(run), role, name), zenoh.handlers.FifoChannel(MOST_AT_ONCE), history=True
+            keys.alive_of(role) if name is None else keys.alive(role, name),
+            zenoh.handlers.FifoChannel(MOST_AT_ONCE),
+            history=True,
         )
 
     def any_present(self) -> bool:
@@ -135,9 +137,3 @@ class PresencePoll(Closeable):
         """Add or remove a service; the same event may come twice."""
         change = self._present.add if event.kind == zenoh.SampleKind.PUT else self._present.discard
         change(str(event.key_expr))
-
-
-def _watched(keys: Keys, role: str | None, name: str | None) -> str:
-    if role is None:
-        return keys.every_alive
-    return keys.alive_of(role) if name is None else keys.alive(role, name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import threading
 from collections.abc import Iterable
 from itertools import islice
 from typing import Any
@@ -56,6 +57,7 @@ class RivalWatch(Closeable):
             self._keys.state: states,
         }
         self._published: dict[str, int] = {}  # by key: the newest incarnation of another publisher
+        self._lock = threading.Lock()  # of what `_take` changes, which several threads call
         self._warn = BoundedLog(_log.warning)
         self._answered: set[str] = set()  # keys with a second answerer at the last check
         self._subscribers = [
@@ -68,9 +70,11 @@ class RivalWatch(Closeable):
 
         Does not wait for answers. Called about once a second with the names of all actors.
         """
+        with self._lock:
+            published, self._published = self._published, {}
         for key, publisher in self._publishers.items():
-            if (incarnation := self._published.pop(key, None)) is not None:
-                publisher.supersede(incarnation)
+            if key in published:
+                publisher.supersede(published[key])
         keys = self._keys
         answerable = [
             *(keys.policy, keys.state, keys.run_file, keys.changes, keys.free_name("actor")),
@@ -100,9 +104,10 @@ class RivalWatch(Closeable):
             undeclare_quietly(querier)
 
     def _take(self, sample: zenoh.Sample) -> None:
-        self.values += 1
-        with contextlib.suppress(InvalidMessage):  # then nobody else takes it, either
-            version, _ = version_of(sample)
-            key = str(sample.key_expr)
-            self._published[key] = max(version.incarnation, self._published.get(key, 0))
+        with self._lock:
+            self.values += 1
+            with contextlib.suppress(InvalidMessage):  # then nobody else takes it, either
+                version, _ = version_of(sample)
+                key = str(sample.key_expr)
+                self._published[key] = max(version.incarnation, self._published.get(key, 0))
         self._warn(f"another process publishes under {sample.key_expr}: actors and evaluators may believe it")

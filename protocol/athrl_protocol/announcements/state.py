@@ -14,7 +14,7 @@ from athrl_protocol.errors import InvalidMessage
 from athrl_protocol.messages import athrl_pb2
 from athrl_protocol.messages.keys import Keys
 from athrl_protocol.messages.limits import LARGEST_NUMBERS
-from athrl_protocol.messages.schema import check_text, decode_message, encode_message
+from athrl_protocol.messages.schema import check_counts, check_text, decode_message, encode_message
 
 LONGEST_WAITING = 2_000
 """Characters."""
@@ -66,6 +66,13 @@ def _encode(state: RunState) -> bytes:
 def _decode(payload: bytes) -> RunState:
     message = decode_message(athrl_pb2.RunState, payload, largest=LARGEST_NUMBERS)
     check_text("run state", "waiting", message.waiting, LONGEST_WAITING)
+    check_counts(
+        "run state",
+        environment_steps=message.environment_steps,
+        environment_steps_target=message.environment_steps_target,
+        updates=message.updates,
+        policy_version=message.policy_version,
+    )
     try:
         phase = Phase(message.phase)
     except ValueError:

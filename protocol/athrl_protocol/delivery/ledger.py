@@ -155,15 +155,9 @@ class Ledger:
         """Note that a chunk has arrived from its sender, and classify it.
 
         Raises:
-            InvalidMessage: as `classify`; or its sequence is too large; or its incarnation is from the
-                future, may have been forgotten, or is one more than the ledger can keep. Names the actor.
+            InvalidMessage: as `classify`; or its incarnation is from the future, may have been forgotten, or
+                is one more than the ledger can keep. Names the actor.
         """
-        if chunk.sequence >= END_OF_SEQUENCES:
-            raise InvalidMessage(
-                "value",
-                f"chunk of actor {chunk.actor!r}: sequence is {chunk.sequence}, should be below "
-                f"{END_OF_SEQUENCES}",
-            )
         known = self._find(chunk.actor, chunk.incarnation)
         if known is None:
             self._require_admissible(chunk)
@@ -180,8 +174,14 @@ class Ledger:
         dropped them, as `oldest_held` shows: they are lost, and later chunks are new.
 
         Raises:
-            InvalidMessage: according to the chunk, its actor does not hold it.
+            InvalidMessage: its sequence is too large; or, according to the chunk, its actor does not hold it.
         """
+        if chunk.sequence >= END_OF_SEQUENCES:
+            raise InvalidMessage(
+                "value",
+                f"chunk of actor {chunk.actor!r}: sequence is {chunk.sequence}, should be below "
+                f"{END_OF_SEQUENCES}",
+            )
         if chunk.oldest_held > chunk.sequence:
             raise InvalidMessage(
                 "value", f"chunk: oldest_held is {chunk.oldest_held}, above its sequence {chunk.sequence}"

@@ -21,6 +21,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 import zenoh
+from athrl_spaces.untrusted import one_line
 
 from athrl_protocol.codec.chunks import OLDEST_HELD_BYTES, Identity, encode_checked, with_oldest_held
 from athrl_protocol.codec.images import Compression
@@ -45,6 +46,7 @@ SILENCE_PAUSE_SECONDS = 0.1
 SILENCE_WARNING_SECONDS = 10.0
 # For which chunks are collected before they are sent together.
 GATHER_SECONDS = 0.1
+LONGEST_REASON = 1_000  # characters of a refusal that are logged
 
 
 class _Outcome(Enum):
@@ -370,7 +372,8 @@ class ChunkUploader(Closeable):
                 self._window.rewind_to(message.expected_sequence)
                 return _Outcome.REWIND
             if message.reason == athrl_pb2.Refusal.INVALID:
-                _log.warning("the learner refused chunk %d: %s", sequence, message.text)
+                reason = one_line(message.text[:LONGEST_REASON])
+                _log.warning("the learner refused chunk %d: %s", sequence, reason)
                 self._window.give_up(sequence)
                 if sequence == sequences[-1]:
                     return _Outcome.CONTINUE

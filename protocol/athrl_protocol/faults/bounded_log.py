@@ -7,6 +7,10 @@ import time
 from collections.abc import Callable
 
 LONGEST_TEXT = 200
+SECONDS = 10.0  # after which `BoundedLog` logs a line again
+LINES = 20  # different ones that it logs in that time
+RARE_SECONDS = 60.0  # between two lines of `RareLog`
+MOST_OTHERS = 3  # texts that a line of `RareLog` has besides its own
 
 
 def shortened(text: str) -> str:
@@ -15,18 +19,10 @@ def shortened(text: str) -> str:
 
 
 class BoundedLog:
-    """Logs a line again only after `seconds`, and at most `lines` different ones in that time."""
+    """Logs a line again only after `SECONDS`, and at most `LINES` different ones in that time."""
 
-    def __init__(
-        self,
-        write: Callable[[str], None],
-        seconds: float = 10.0,
-        lines: int = 20,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, write: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._write = write
-        self._seconds = seconds
-        self._lines = lines
         self._clock = clock
         self._began = -float("inf")
         self._counts: dict[str, int] = {}
@@ -36,11 +32,11 @@ class BoundedLog:
     def __call__(self, text: str) -> None:
         """Log the line, or count it."""
         with self._lock:
-            if self._clock() - self._began >= self._seconds:
+            if self._clock() - self._began >= SECONDS:
                 self._sum_up()
             if text in self._counts:
                 self._counts[text] += 1
-            elif len(self._counts) < self._lines:
+            elif len(self._counts) < LINES:
                 self._counts[text] = 1
                 self._write(text)
             else:
@@ -52,27 +48,18 @@ class BoundedLog:
             if count > 1:
                 self._write(f"{text} ({count - 1} times more)")
         if self._beyond:
-            self._write(f"{self._beyond} other messages were refused as well")
+            self._write(f"{self._beyond} other lines were left out")
         self._counts, self._beyond, self._began = {}, 0, self._clock()
 
 
 class RareLog:
-    """Logs at most one line in `seconds`; it also has what else was to be logged since the line before.
+    """Logs at most one line in `RARE_SECONDS`; it also has what else was to be logged since the line before.
 
     For a condition that several places notice again and again, such as a full disk.
     """
 
-    def __init__(
-        self,
-        write: Callable[[str], None],
-        seconds: float = 60.0,
-        others: int = 3,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        """`others` is the most texts that a line has besides its own."""
+    def __init__(self, write: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._write = write
-        self._seconds = seconds
-        self._most_others = others
         self._clock = clock
         self._wrote_at = -float("inf")
         self._left_out: dict[str, None] = {}
@@ -82,8 +69,8 @@ class RareLog:
         """Log the text or leave it out; return whether it was logged."""
         with self._lock:
             now = self._clock()
-            if now - self._wrote_at < self._seconds:
-                if len(self._left_out) < self._most_others:
+            if now - self._wrote_at < RARE_SECONDS:
+                if len(self._left_out) < MOST_OTHERS:
                     self._left_out[text] = None
                 return False
             self._left_out.pop(text, None)

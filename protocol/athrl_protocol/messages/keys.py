@@ -20,16 +20,21 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,126}")
 @functools.lru_cache(maxsize=1024)  # every chunk checks the same few names
 def check_name(kind: str, name: str) -> str:
     """Return `name` if it can be a part of a key, else raise ProtocolError."""
-    if _NAME.fullmatch(name) is None:
+    if not is_name(name):
         raise ProtocolError(
             f"{kind} {name!r} cannot be used: letters, digits, '.', '_' and '-' only, a letter or digit first"
         )
     return name
 
 
+def is_name(name: str) -> bool:
+    """Return whether a text can be a role or a name in a key, as `check_name` requires it."""
+    return _NAME.fullmatch(name) is not None
+
+
 def name_of_town(town: str) -> str:
     """Return the name of a town in a key: its name, or the end of a map's path and a hash."""
-    if _NAME.fullmatch(town) is not None:
+    if is_name(town):
         return town
     end = re.sub(r"[^A-Za-z0-9_.-]", "_", town.rpartition("/")[2])[-64:]
     return f"map-{hashlib.sha256(town.encode(errors='surrogatepass')).hexdigest()[:12]}-{end}"

@@ -20,6 +20,8 @@ _Message = TypeVar("_Message", bound=Message)
 
 LONGEST_NAME = 256
 MOST_NUMBERS = 2_000
+LARGEST_COUNT = 2**63 - 1
+"""Messages have unsigned integers; columns, files and event files have signed ones of 64 bits."""
 
 
 def _describe_field(field: FieldDescriptor) -> str:
@@ -102,3 +104,10 @@ def check_numbers(kind: str, values: Mapping[str, float], most: int = MOST_NUMBE
         raise InvalidMessage("size", f"{kind}: {len(values)} values, at most {most}")
     for name in values:
         check_text(kind, "a name", name)
+
+
+def check_counts(kind: str, **counts: int) -> None:
+    """Raise InvalidMessage, which names the count, if one is above `LARGEST_COUNT`."""
+    for name, count in counts.items():
+        if count > LARGEST_COUNT:
+            raise InvalidMessage("value", f"{kind}: {name} is {count}, should be at most 2^63 - 1")

@@ -12,8 +12,8 @@ from athrl_protocol.run_file import ActorSection, EnvironmentSection
 from athrl_spaces import REFERENCE_DRIVERS
 
 from athrl_evaluator.errors import EvaluatorError
-from athrl_evaluator.observers import Recorder, recording_path
 from athrl_evaluator.policies.files import load_policy
+from athrl_evaluator.recording.recorder import Recorder, recording_path
 from athrl_evaluator.scoring.drivers import BatchDriver, GreedyPolicy, ReferenceDriver
 from athrl_evaluator.scoring.environments import Environments, environment_for, require_fitting, town_labels
 from athrl_evaluator.scoring.episodes import EpisodeObserver, drive_episodes
@@ -50,7 +50,6 @@ def evaluate_driver(
     settings: EvaluationSettings,
     *,
     record: Path | None = None,
-    observers: Sequence[EpisodeObserver] = (),
 ) -> Scores:
     """Drive the episodes of an evaluation and score them.
 
@@ -59,7 +58,6 @@ def evaluate_driver(
         settings: what is driven.
         record: folder in which each episode is recorded as an MCAP file, named after the policy's file;
             one that is there is replaced.
-        observers: notified of every step.
 
     Raises:
         InvalidPolicy: a file is not a policy, or not the one that the JSON file beside it describes.
@@ -77,7 +75,7 @@ def evaluate_driver(
         labels, results = town_labels(environments.towns), list[EpisodeResult]()
         for town in environments.towns:
             batch_driver = make_batch_driver(who, count, forced=settings.forced)
-            observing = list(observers)
+            observers: list[EpisodeObserver] = []
             if record is not None:
                 named = "-".join([_name(driver), *([labels[town]] if len(labels) > 1 else [])])
                 policy = driver.stem if isinstance(driver, Path) else ""
@@ -91,9 +89,9 @@ def evaluate_driver(
                     policy=policy,
                 )
                 stack.callback(recorder.close)
-                observing.insert(0, recorder)
+                observers.append(recorder)
             batch = environments.batch(town, batch_driver.action_kind)
-            results += drive_episodes(batch_driver, batch, seeds, observing)
+            results += drive_episodes(batch_driver, batch, seeds, observers)
         return score(results)
 
 

@@ -55,8 +55,8 @@ def run_evaluator(
 
     Results are written under `folder/run`; metrics are shown at `metrics_listen`, if it is not empty. Raises
     ProtocolError when the learner or the run does not exist, another live evaluator has the name or the
-    address is in use, EnvironmentFailure when the final comparison cannot be driven, and EvaluatorError when
-    it cannot be written.
+    address is in use, EnvironmentFailure when the closing comparison cannot be driven, and EvaluatorError
+    when it cannot be written.
     """
     with ExitStack() as stack:
         exposition = open_exposition(stack, run, metrics_listen)

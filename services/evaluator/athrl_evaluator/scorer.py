@@ -17,7 +17,7 @@ from athrl_evaluator.broadcast import Broadcast
 from athrl_evaluator.dashboard import with_interval
 from athrl_evaluator.evaluate import make_batch_driver
 from athrl_evaluator.event_files import EventFiles
-from athrl_evaluator.observers import Recorder, name_of
+from athrl_evaluator.recording.recorder import Recorder, name_of
 from athrl_evaluator.scoring.environments import Environments, town_labels
 from athrl_evaluator.scoring.episodes import EpisodeObserver, drive_episodes
 from athrl_evaluator.scoring.results import ResultsFolder

@@ -44,6 +44,8 @@ FINISH_SECONDS = 120
 """Within which ffmpeg completes the file."""
 STALL_SECONDS = 60.0
 """Longest time in which ffmpeg takes nothing of a picture, as when its disk does not answer."""
+END_SECONDS = 5.0
+"""Within which a killed ffmpeg ends, unless it waits for such a disk."""
 
 _PLACE = re.compile(r"^\[[^]]*\] ")  # where in ffmpeg, before what it says
 
@@ -187,7 +189,8 @@ def _written(
                 ) from None
             finally:
                 ffmpeg.kill()
-                ffmpeg.wait()
+                with suppress(subprocess.TimeoutExpired):
+                    ffmpeg.wait(END_SECONDS)
             if failed:
                 said.seek(0)
                 raise EvaluatorError(f"cannot write {path}: {_reason(said.read())}")

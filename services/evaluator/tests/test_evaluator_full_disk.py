@@ -11,7 +11,7 @@ import pytest
 from athrl_evaluator import EvaluationSettings, evaluate_driver
 from athrl_evaluator.errors import EvaluatorError
 from athrl_evaluator.event_files import EventFiles
-from athrl_evaluator.observers import Recorder
+from athrl_evaluator.recording.recorder import Recorder
 from athrl_evaluator.scoring.drivers import ReferenceDriver
 from athrl_evaluator.scoring.environments import make_batch
 from athrl_evaluator.scoring.episodes import drive_episodes

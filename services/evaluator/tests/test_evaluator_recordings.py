@@ -12,9 +12,9 @@ import rerun_cli
 from athrl_evaluator.dashboard import links_value
 from athrl_evaluator.drawing import APPLICATION, SceneDrawing, make_blueprint
 from athrl_evaluator.errors import EvaluatorError
-from athrl_evaluator.observers import Recorder
 from athrl_evaluator.recording.origin import Origin
 from athrl_evaluator.recording.reading import InvalidRecording, read_frames
+from athrl_evaluator.recording.recorder import Recorder
 from athrl_evaluator.recording.recordings import EpisodeRecording, prune_recordings
 from athrl_evaluator.scoring.drivers import ReferenceDriver
 from athrl_evaluator.scoring.environments import make_batch

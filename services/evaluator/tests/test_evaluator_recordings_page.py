@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from athrl_evaluator.observers import Recorder
 from athrl_evaluator.recording.origin import Origin
 from athrl_evaluator.recording.reading import read_driven, read_frames
+from athrl_evaluator.recording.recorder import Recorder
 from athrl_evaluator.scoring.drivers import ReferenceDriver
 from athrl_evaluator.scoring.environments import make_batch
 from athrl_evaluator.scoring.episodes import drive_episodes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import threading
 from itertools import pairwise
 from pathlib import Path
@@ -82,6 +83,29 @@ def test_a_picture_that_ffmpeg_does_not_take_in_time_leaves_nothing_and_one_line
     with refused, video._written(tmp_path / "a.mp4", (256, 256), 10.0, overwrite=False) as write:
         write(np.zeros((256, 256, 3), np.uint8))
     assert list(tmp_path.iterdir()) == [idle]
+
+
+def test_ffmpeg_that_does_not_end_though_it_is_killed_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[subprocess.Popen] = []
+    kill = subprocess.Popen.kill
+    idle = tmp_path / "ffmpeg"
+    idle.write_text("#!/bin/sh\nexec sleep 200\n")
+    idle.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(idle))
+    monkeypatch.setattr(video, "STALL_SECONDS", 0.2)
+    monkeypatch.setattr(video, "END_SECONDS", 0.1)
+    monkeypatch.setattr(subprocess.Popen, "kill", lambda self: started.append(self))  # it waits for a disk
+    try:
+        refused = pytest.raises(EvaluatorError, match=r"a.mp4: ffmpeg takes no picture within 0.2 s$")
+        with refused, video._written(tmp_path / "a.mp4", (256, 256), 10.0, overwrite=False) as write:
+            write(np.zeros((256, 256, 3), np.uint8))
+        assert [each.poll() for each in started] == [None]
+    finally:
+        for each in started:
+            kill(each)
+            each.wait(30)
 
 
 def test_what_is_there_is_only_replaced_when_told_and_by_a_whole_video(tmp_path: Path) -> None:

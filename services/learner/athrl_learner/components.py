@@ -112,7 +112,6 @@ def make_experience(
         arrivals,
         run_file.run.environment_steps,
         experience,
-        factories.largest_sample(run_file, agent),
         disk_space,
     )
 

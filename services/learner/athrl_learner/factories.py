@@ -86,12 +86,6 @@ def make_reader(run_file: RunFile, agent: Agent) -> ChunkReader:
     return ChunkReader(agent.description, run_file.replay.sequence_length, run_file.longest_chunk)
 
 
-def largest_sample(run_file: RunFile, agent: Agent) -> int:
-    """Most decisions in an update: single ones, or whole sequences for a planner with memory."""
-    batch, length = run_file.learner.batch, run_file.replay.sequence_length
-    return max(1, round(batch / length)) * length if agent.has_memory else batch
-
-
 def make_limiter(run_file: RunFile, agent: Agent) -> SamplesPerInsert:
     """The limiter; the warm-up is as long as the random decisions."""
     return SamplesPerInsert(
@@ -99,7 +93,7 @@ def make_limiter(run_file: RunFile, agent: Agent) -> SamplesPerInsert:
         tolerance=run_file.learner.samples_per_insert_tolerance,
         minimum_inserts=max(1, run_file.warm_up),
         largest_insert=run_file.longest_chunk,
-        largest_sample=largest_sample(run_file, agent),
+        largest_sample=_largest_sample(run_file, agent),
     )
 
 
@@ -112,6 +106,12 @@ def make_log(run_file: RunFile, folder: Path) -> SegmentLog:
         fsync=durability.fsync,
         reserve_bytes=round(durability.reserve_mebibytes * 2**20),
     )
+
+
+def _largest_sample(run_file: RunFile, agent: Agent) -> int:
+    """Most decisions in an update: single ones, or whole sequences for a planner with memory."""
+    batch, length = run_file.learner.batch, run_file.replay.sequence_length
+    return max(1, round(batch / length)) * length if agent.has_memory else batch
 
 
 def _seed(run_file: RunFile, leaf: int) -> int:

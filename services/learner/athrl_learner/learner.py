@@ -24,6 +24,8 @@ _POLL_SECONDS = 0.1
 #: Least seconds that a finished learner stays, so that all services learn of it, and most for its actors.
 _LEAST_SECONDS_AT_END = 2.0
 _MOST_SECONDS_FOR_ACTORS = 10.0
+#: Most seconds that a finished learner stays for an evaluator that is still working.
+_MOST_SECONDS_FOR_EVALUATOR = 300.0
 #: Seconds that a learner without training left waits for an evaluator that is still being loaded.
 _SECONDS_FOR_EVALUATOR_TO_COME = 30.0
 #: Seconds without actors and evaluators after which a learner ends whose run was finished and compared
@@ -40,7 +42,7 @@ class Learner:
         self._components = components
         self._connections = connections
 
-    def run(self, stop: threading.Event, evaluator_deadline: float) -> bool:
+    def run(self, stop: threading.Event) -> bool:
         """Publish, train, end; return whether the run is finished (rather than stopped).
 
         Raises:
@@ -64,9 +66,7 @@ class Learner:
             raise
         if self._components.store.exhausted:
             self._finish()
-            self._wait_for_services(
-                stop, evaluator_deadline, _SECONDS_FOR_EVALUATOR_TO_COME if was_over else 0.0
-            )
+            self._wait_for_services(stop, _SECONDS_FOR_EVALUATOR_TO_COME if was_over else 0.0)
             self._connections.progress.tell_closing()
             return True
         self._drain()
@@ -148,9 +148,7 @@ class Learner:
         )
         components.checkpointer.write_now(self._snapshot())
 
-    def _wait_for_services(
-        self, stop: threading.Event, evaluator_deadline: float, comes_within: float
-    ) -> None:
+    def _wait_for_services(self, stop: threading.Event, comes_within: float) -> None:
         """Stay while services need the learner: actors for a moment, an evaluator until it is done.
 
         `comes_within` are the seconds to wait for an evaluator to start.
@@ -160,7 +158,7 @@ class Learner:
             waited = time.monotonic() - began
             roles = {role for role, _ in self._connections.presence.present()}
             actors_stay = "actor" in roles and waited < _MOST_SECONDS_FOR_ACTORS
-            evaluator_stays = "evaluator" in roles and waited < evaluator_deadline
+            evaluator_stays = "evaluator" in roles and waited < _MOST_SECONDS_FOR_EVALUATOR
             evaluator_came = evaluator_came or "evaluator" in roles
             evaluator_comes = not evaluator_came and waited < comes_within
             if waited >= _LEAST_SECONDS_AT_END and not (actors_stay or evaluator_stays or evaluator_comes):

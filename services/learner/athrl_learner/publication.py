@@ -15,9 +15,10 @@ from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_json
 from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import WrongPlanner
+from athrl_learner.files import Files, write_whole
 from athrl_learner.intake.arrivals import Arrivals
 from athrl_learner.log import count_of
-from athrl_learner.run_folder import RunFolder, write_atomically
+from athrl_learner.run_folder import RunFolder
 
 
 def annealed_noise(environment_steps: int, target: int, final_scale: float) -> float:
@@ -118,7 +119,7 @@ class Publication:
             "sha256": hashlib.sha256(update.artefact).hexdigest(),
         }
         try:
-            write_atomically(self._folder.latest_policy_facts, json.dumps(facts, indent=1).encode())
-            write_atomically(self._folder.latest_policy, update.artefact)
+            write_whole(Files(), self._folder.latest_policy_facts, json.dumps(facts, indent=1).encode())
+            write_whole(Files(), self._folder.latest_policy, update.artefact)
         except OSError as error:
             self._warn(f"cannot write {self._folder.latest_policy}: {system_reason(error)}")

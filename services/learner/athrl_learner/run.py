@@ -61,21 +61,19 @@ def run_learner(
     *,
     resume: Path | None = None,
     stop: threading.Event,
-    evaluator_deadline: float = 300.0,
     reached_as: str | None = None,
 ) -> Summary:
     """Run the learner, from the start or the newest checkpoint, until the run ends or `stop` is set.
 
     Listens at `network.listen` and `metrics.listen`, serves the run file, receives experience, trains,
     publishes and writes into the run's folder. At the end it stays for its actors (at most 10 s) and for an
-    evaluator that is still working (at most `evaluator_deadline`). When `stop` is set it accepts no more
-    chunks, writes a last checkpoint and returns. Calls `torch.set_num_threads` for the whole process.
+    evaluator that is still working (at most 300 s). When `stop` is set it accepts no more chunks, writes a
+    last checkpoint and returns. Calls `torch.set_num_threads` for the whole process.
 
     Args:
         run_file: the run to start; with `resume` the new settings, by default the run's own.
         resume: the folder of the run to resume.
         stop: set from a signal handler or another thread.
-        evaluator_deadline: seconds.
         reached_as: host name or address by which other machines reach this one; the learner's address is
             then kept in the run's folder while it runs.
 
@@ -124,7 +122,7 @@ def run_learner(
         if reached_as is not None:
             stack.enter_context(address_announced(path, address_at(reached_as, address)))
         log.info("run %s listens at %s and writes into %s", run_file.run.name, address, path)
-        finished = Learner(run_file, components, connections).run(stop, evaluator_deadline)
+        finished = Learner(run_file, components, connections).run(stop)
     return Summary(
         run=run_file.run.name,
         folder=path,

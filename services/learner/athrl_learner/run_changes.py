@@ -19,7 +19,8 @@ from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_untrusted
 from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import LearnerError
-from athrl_learner.run_folder import RunFolder, write_atomically
+from athrl_learner.files import Files, write_whole
+from athrl_learner.run_folder import RunFolder
 
 log = logging.getLogger(__name__)
 
@@ -131,6 +132,6 @@ def _change(line: str) -> Change:
 def _write(path: Path, changes: list[Change]) -> None:
     text = "".join(f"{json.dumps(asdict(change))}\n" for change in changes)
     try:
-        write_atomically(path, text.encode())
+        write_whole(Files(), path, text.encode())
     except OSError as error:
         raise LearnerError(f"cannot write {path}: {system_reason(error)}") from None

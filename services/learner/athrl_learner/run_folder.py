@@ -1,4 +1,4 @@
-"""The folder of a run: its layout, its lock, and files that are written atomically."""
+"""The folder of a run: its layout and its lock."""
 
 from __future__ import annotations
 
@@ -13,11 +13,6 @@ from athrl_spaces.wording import system_reason
 
 from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
 from athrl_learner.files import Files, write_whole
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write another file, sync it and rename it to `path`: readers see the old or the new file."""
-    write_whole(Files(), path, content)
 
 
 def _made_folders(path: Path) -> list[Path]:
@@ -127,7 +122,7 @@ class RunFolder:
             self.experience.mkdir(exist_ok=True)
             self.latest_policy.parent.mkdir(exist_ok=True)
             if not self._holds(run_toml.encode()):  # a run that is resumed unchanged needs no disk space
-                write_atomically(self.run_toml, run_toml.encode())
+                write_whole(Files(), self.run_toml, run_toml.encode())
         except OSError as error:
             raise LearnerError(f"cannot write the run folder {self.path}: {system_reason(error)}") from None
 

@@ -6,9 +6,11 @@ from athrl_learner.checkpoint.snapshot import restore_snapshot, take_snapshot
 from athrl_learner.components import make_experience
 from athrl_learner.intake.arrivals import Arrivals
 from athrl_learner.intake.local_intake import LocalIntake
-from athrl_learner.log import numbered_segments
+from athrl_learner.log import SegmentReader, numbered_segments
 from athrl_protocol import IntakeFinished
+from athrl_protocol.codec.images import number_of
 from athrl_protocol.delivery.ledger import Ledger
+from athrl_protocol.messages import athrl_pb2
 
 
 @pytest.fixture
@@ -23,6 +25,15 @@ def test_chunks_are_numbered_in_their_order(store, make_chunk, experience):
     assert intake.ledger() == {"serial": {"0": 3}}
     assert intake.totals() == {"stored": 3, "transitions": 15, "refused": 0, "lost": 0}
     assert experience.next_record == 3
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+def test_images_are_written_down_as_the_run_compresses_them(store, make_chunk, experience, compression):
+    LocalIntake(store, Ledger(), compression).take_in(make_chunk())
+    (path,) = numbered_segments(experience.folder).values()
+    (record,) = SegmentReader(path, 1, 0)
+    message = athrl_pb2.Chunk.FromString(record.body)
+    assert message.image_compression == number_of(compression)
 
 
 def test_chunk_that_is_not_taken_in_may_be_brought_again(store, make_chunk):

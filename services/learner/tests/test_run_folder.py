@@ -7,7 +7,8 @@ import signal
 
 import pytest
 from athrl_learner.errors import LearnerError, RunFolderInUse, RunFolderTaken
-from athrl_learner.run_folder import RunFolder, write_atomically
+from athrl_learner.files import Files, write_whole
+from athrl_learner.run_folder import RunFolder
 
 
 def test_two_learners_never_write_one_folder(tmp_path):
@@ -96,8 +97,8 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_a_file_is_replaced_whole(tmp_path):
-    write_atomically(tmp_path / "policy", b"old")
-    write_atomically(tmp_path / "policy", b"new")
+    write_whole(Files(), tmp_path / "policy", b"old")
+    write_whole(Files(), tmp_path / "policy", b"new")
     assert [path.name for path in tmp_path.iterdir()] == ["policy"]
     assert (tmp_path / "policy").read_bytes() == b"new"
 

@@ -281,6 +281,7 @@ def restore(run_file, tmp_path) -> Callable[[], Recovery]:
         b'{"actor": "a", "incarnation": 1, "sequence": 1e400}',
         b'{"actor": "a", "incarnation": -1, "sequence": 1}',
         b'{"actor": ["a"], "incarnation": 1, "sequence": 1}',
+        b'{"actor": "a", "incarnation": 1, "sequence": 1099511627776}',
         b'{"actor": "a", "incarnation": 1, "sequence": ' + b"1" * 5_001 + b"}",
         b"\xff",
     ],
@@ -292,6 +293,16 @@ def test_refusal_in_the_log_of_nonsense_names_its_record(restore, tmp_path, body
     with pytest.raises(CannotResume, match=rf"^record 0 of {tmp_path}: ") as caught:
         restore()
     assert "\n" not in str(caught.value)
+
+
+def test_refusal_that_comes_twice_in_the_log_counts_once(restore, tmp_path):
+    log = SegmentLog(tmp_path, segment_bytes=10**6, fsync="never")
+    for sequence in (5, 2, 5):
+        log.append(Kind.REFUSAL, json.dumps({"actor": "a", "incarnation": 1, "sequence": sequence}).encode())
+    log.close()
+    ledger = restore()._ledger
+    assert ledger.next_sequence("a", 1) == 6
+    assert (ledger.totals.refused, ledger.totals.lost) == (1, 5)
 
 
 def test_segment_that_is_no_file_is_refused_without_a_wait(restore, tmp_path):

@@ -6,6 +6,7 @@ import contextlib
 import os
 import shutil
 import subprocess
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -187,6 +188,24 @@ def test_after_a_failed_sync_nothing_more_is_promised(tmp_path, faults):
             log.commit()
     with pytest.raises(LogFailed, match="to the disk"):
         log.append(Kind.CHUNK, b"b")
+
+
+def test_a_disk_that_is_stuck_in_a_sync_does_not_keep_the_log_from_closing(tmp_path, faults, monkeypatch):
+    monkeypatch.setattr("athrl_learner.log.writing._CLOSE_SECONDS", 0.05)
+    files, stuck, goes_on = faults.FaultyFiles(), threading.Event(), threading.Event()
+    log = make_log(tmp_path, files)
+    log.append(Kind.CHUNK, b"a")
+    monkeypatch.setattr(files, "turn", lambda size=0: (stuck.set(), goes_on.wait(30)))
+    syncing = threading.Thread(target=log.sync, daemon=True)
+    syncing.start()
+    try:
+        assert stuck.wait(30)
+        log.close()
+        assert syncing.is_alive()
+    finally:
+        goes_on.set()
+        syncing.join(30)
+    assert read(tmp_path) == ([b"a"], [])
 
 
 @pytest.mark.parametrize("free_space", range(0, 700, 13))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from athrl_protocol import EvaluationResult
+from athrl_protocol.announcements.comparison import COMPARISON_FILE
 from athrl_protocol.faults.bounded_log import RareLog
 from athrl_spaces.wording import system_reason
 
@@ -33,7 +34,7 @@ class ResultsFolder:
         self.tensorboard = self.path / "tensorboard"
         self.recordings = self.path / "recordings"
         self._lines = self.path / "evaluations.jsonl"
-        self._closing = self.path / "evaluation.json"
+        self._closing = self.path / COMPARISON_FILE
         self._unwritten: list[str] = []
         self.warn = RareLog(log.warning)
         with writing(self.recordings):
@@ -52,7 +53,7 @@ class ResultsFolder:
             self._unwritten.clear()
 
     def write_comparison(self, run: str, results: Sequence[EvaluationResult]) -> None:
-        """Write the final comparison, `evaluation.json`; the file is complete or absent.
+        """Write the closing comparison, `COMPARISON_FILE`; the file is complete or absent.
 
         With several towns, `towns` also has the drivers' scores in each town.
 

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import onnx
-from athrl_planners.export import METADATA_KEY
 from athrl_protocol import RunFile, RunFileError
-from athrl_protocol.messages.limits import LARGEST_POLICY
 from athrl_protocol.run_file.document import read_document
 from athrl_spaces import Action, Continuous, LevelDescription, PolicyDescription
-from athrl_spaces.policy import InvalidDescription
+from athrl_spaces.policy import LARGEST_ARTEFACT, METADATA_KEY, InvalidDescription
 from athrl_spaces.untrusted import parser_errors, read_untrusted
 from google.protobuf.message import DecodeError
 
@@ -88,7 +86,7 @@ def _trained_before(folder: RunFolder, content: CheckpointContent | None) -> Pol
 
 def _metadata(artefact: Path) -> str:
     with parser_errors(InvalidDescription, DecodeError):
-        model = onnx.load_from_string(read_untrusted(artefact, LARGEST_POLICY))
+        model = onnx.load_from_string(read_untrusted(artefact, LARGEST_ARTEFACT))
     return {entry.key: entry.value for entry in model.metadata_props}.get(METADATA_KEY, "")
 
 

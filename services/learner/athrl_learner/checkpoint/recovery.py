@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from athrl_planners import Sequence
 from athrl_protocol import Chunk, InvalidMessage, decode_chunk
-from athrl_protocol.delivery.ledger import Gap, Known, Ledger, New
+from athrl_protocol.delivery.ledger import END_OF_SEQUENCES, Gap, Known, Ledger, New
 from athrl_protocol.faults.bounded_log import BoundedLog
 from athrl_spaces.untrusted import parser_errors
 from athrl_spaces.wording import counted
@@ -128,7 +128,10 @@ class Recovery:
             self._ledger.record(chunk)
             self.chunks += 1
         elif record.kind == Kind.REFUSAL:
-            self._ledger.refuse(*self._refusal(record))
+            actor, incarnation, sequence = self._refusal(record)
+            # A log that was put together by hand may repeat one, by which the ledger would go back.
+            if sequence >= self._ledger.next_sequence(actor, incarnation):
+                self._ledger.refuse(actor, incarnation, sequence)
         else:
             raise CannotResume(
                 f"{self._store.log.folder} has a record of kind {record.kind}: it is of a newer release"
@@ -148,7 +151,8 @@ class Recovery:
             values = json.loads(record.body)
             actor, incarnation, sequence = values["actor"], values["incarnation"], values["sequence"]
             numbers_fit = all(
-                isinstance(number, int) and 0 <= number < 2**64 for number in (incarnation, sequence)
+                isinstance(number, int) and 0 <= number < end
+                for number, end in ((incarnation, 2**64), (sequence, END_OF_SEQUENCES))
             )
             if not isinstance(actor, str) or not numbers_fit:
                 raise ValueError("it is no refusal: it should have actor, incarnation and sequence")

@@ -36,12 +36,9 @@ class ExperienceStore:
         arrivals: Arrivals,
         environment_steps_target: int,
         log: SegmentLog,
-        largest_sample: int,
         disk_space: DiskSpace | None = None,
     ) -> None:
-        """`largest_sample` is the most decisions in an update."""
         self.reader = reader
-        self._largest_sample = largest_sample
         self.replay = replay
         self.limiter = limiter
         self.log = log
@@ -67,12 +64,12 @@ class ExperienceStore:
     @property
     def exhausted(self) -> bool:
         """Whether all experience is in and no more batches are owed."""
-        return self.complete and not self.limiter.permits_sample(self._largest_sample)
+        return self.complete and not self.limiter.permits_sample(self.limiter.largest_sample)
 
     @property
     def owes_a_batch(self) -> bool:
         """Whether another batch is due for the experience so far."""
-        return self.limiter.owes(self._largest_sample)
+        return self.limiter.owes(self.limiter.largest_sample)
 
     def accept(self, chunk: Chunk, message: bytes) -> None:
         """Validate a chunk, log it and insert it into the replay. Called by the intake, on its thread.
@@ -116,7 +113,7 @@ class ExperienceStore:
 
         Once all experience has arrived and nothing more is owed, returns None at once.
         """
-        largest = self._largest_sample
+        largest = self.limiter.largest_sample
         with self._changed:
             if not self.limiter.permits_sample(largest):
                 self.learner_waiting.begin()

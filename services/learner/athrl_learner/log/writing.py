@@ -24,6 +24,9 @@ from athrl_learner.log.segments import (
 
 Fsync = Literal["never", "acknowledgement", "interval"]
 
+#: Seconds for which `close` waits for a sync: a disk that is stuck must not keep the process from ending.
+_CLOSE_SECONDS = 30.0
+
 
 class _OpenSegment:
     """The segment to which records are appended."""
@@ -214,12 +217,17 @@ class SegmentLog:
         return len(later)
 
     def close(self) -> None:
-        """Close the files; appended records stay."""
-        with self._syncing, self._lock:
-            self._seal()
-            for file in self._unsynced:
-                file.close()
-            self._unsynced.clear()
+        """Close the files; appended records stay. Leaves them to the process's end if the disk is stuck."""
+        if not self._syncing.acquire(timeout=_CLOSE_SECONDS):
+            return
+        try:
+            with self._lock:
+                self._seal()
+                for file in self._unsynced:
+                    file.close()
+                self._unsynced.clear()
+        finally:
+            self._syncing.release()
 
     def _require_space(self, size: int) -> None:
         if not self._reserve_bytes:

@@ -1,4 +1,4 @@
-"""Observers of an evaluation's episodes: the recorder, which also feeds the broadcast."""
+"""Records the episodes of an evaluation while they are driven, and gives the first one to the broadcast."""
 
 from __future__ import annotations
 
