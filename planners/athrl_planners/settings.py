@@ -55,7 +55,7 @@ class PlannerSettings(BaseModel):
         default=0.02, gt=0, le=1000, description="Factor on the rewards of the critics."
     )
     end_penalty: float = Field(
-        default=8.0,
+        default=4.0,
         ge=0,
         le=10_000,
         description="Extra cost, in scaled reward, of an episode that ends by collision or lane exit; only "

@@ -51,7 +51,7 @@ class RunSection(Section):
         description="Root of the tree of seeds: run, service, environment, episode.",
     )
     environment_steps: int = Field(
-        default=800_000,
+        default=400_000,
         ge=1,
         le=MOST_STEPS,
         description="Decisions of all actors together after which the run ends.",
@@ -163,7 +163,7 @@ class LearnerSection(Section):
         description="Decisions in an update; with a memory as whole sequences.",
     )
     samples_per_insert: float = Field(
-        default=2.5,
+        default=8.0,
         gt=0,
         le=10_000,
         description="How often a decision is trained on, on average; the limiter enforces it.",
