@@ -14,7 +14,7 @@ from athrl_spaces import CHANNELS
 from athrl.doctor.finding import Finding, failed, ok, warning
 
 LEARNER_BYTES, ACTOR_BYTES = 2**30, 400 * 2**20
-"""Memory of a learner without its replay, and of an actor with eight environments."""
+"""Memory of a learner without its replay, and of an actor with 64 environments."""
 _CGROUP = Path("/sys/fs/cgroup")
 
 
