@@ -1,6 +1,6 @@
 # make train      installs into .venv and starts a run on this machine
 # make test       installs into .venv and runs the checks and all tests but the slow ones
-# make test-all   the slow tests too: many faults in a row, long pauses, learning (make test-slow: these alone)
+# make test-all   the slow tests too: many faults in a row, long pauses, learning
 # make check      lint, types and the unit tests of one room: make check ROOM=planners
 # make docs       the documentation as a site in site/
 #
@@ -20,10 +20,10 @@ ROOM ?= spaces
 JOBS ?= $(shell expr 2 \* $$(nproc))
 PYTEST := $(BIN)/pytest --numprocesses=$(JOBS) --dist=worksteal
 
-.PHONY: help install train test test-all test-slow check lint kernels format docs images clean
+.PHONY: help install train test test-all check lint kernels format docs images clean
 
 # Tests start hundreds of processes: where no bytecode is kept, each of them compiles every source again.
-test test-all test-slow check: export PYTHONDONTWRITEBYTECODE =
+test test-all check: export PYTHONDONTWRITEBYTECODE =
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 8
@@ -50,11 +50,8 @@ test: $(INSTALLED)
 	@$(MAKE) --no-print-directory --jobs=2 lint kernels
 	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
 
-test-all: test
-	@$(MAKE) --no-print-directory test-slow
-
 # Runs that must recover within seconds have the machine for themselves.
-test-slow: $(INSTALLED)
+test-all: test
 	$(BIN)/pytest -m slow tests/liveness tests/chaos $(PYTEST_ARGS)
 	$(BIN)/pytest --numprocesses=2 --dist=worksteal -m slow --ignore=tests/liveness --ignore=tests/chaos $(PYTEST_ARGS)
 
