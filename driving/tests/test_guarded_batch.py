@@ -115,13 +115,13 @@ def test_first_call_may_take_as_long_as_compilation_does(monkeypatch):
     step = EnvironmentBatch.step
 
     def compile_first(self, actions, active=None):
-        threading.Event().wait(0.5)
+        threading.Event().wait(1.0)
         return step(self, actions, active)
 
     monkeypatch.setattr(EnvironmentBatch, "step", compile_first)
     batch = GuardedBatch(["town03"] * 2, CONFIG, seconds=30)
     begin(batch)
-    batch._seconds = 0.05
+    batch._seconds = 0.5  # also for the environments that replace the stalled ones
     batch.step(STRAIGHT_ON)
     with pytest.raises(EnvironmentStalled):
         batch.step(STRAIGHT_ON)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from athrl_driving.maps import MapError, load_town
 from athrl_driving.maps.opendrive.unlinked import FOUND
+from athrl_driving.maps.unlinked_ends import FOUND as NOT_LINKED
 
 from driving.tests.faulty_maps import (
     LINKS,
@@ -52,7 +53,7 @@ def test_roads_that_no_link_names_stay_apart(tmp_path: Path) -> None:
         for number, x in ((1, 0.0), (2, 300.0))
     )
     town = town_from(tmp_path, f"<OpenDRIVE>{alone}</OpenDRIVE>")
-    assert not town.findings
+    assert {finding.kind for finding in town.findings} == {NOT_LINKED}
     assert town.graph.leaves.sum() == 2
 
 
