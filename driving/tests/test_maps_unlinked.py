@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from athrl_driving.maps import MapError, load_town
-from athrl_driving.maps.opendrive.unlinked import FOUND
-from athrl_driving.maps.unlinked_ends import FOUND as NOT_LINKED
+from athrl_driving.maps.opendrive.unlinked import FOUND, NOT_LINKED
 
 from driving.tests.faulty_maps import (
     LINKS,

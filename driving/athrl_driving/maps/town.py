@@ -41,7 +41,6 @@ from athrl_driving.maps.standing_segments import (
     standing_segments,
 )
 from athrl_driving.maps.town_file import TownFile, town_file
-from athrl_driving.maps.unlinked_ends import note_unlinked_ends
 
 _FOLDER = Path(__file__).resolve().parent / "towns"
 
@@ -205,7 +204,6 @@ def _built(name: str, told: str, read: Callable[[], OpenDrive]) -> Town:
 def build_town(name: str, roadway: Roadway) -> Town:
     """Build a town from lanes. Raises `ValueError` where none can be driven on or they are too many."""
     content, carriageways = roadway.content, roadway.carriageways
-    note_unlinked_ends(content.findings, all_segments(carriageways))
     skip_very_short(carriageways)
     make_junctions_of_forks(carriageways)
     crossings = make_junctions_of_crossings(carriageways)

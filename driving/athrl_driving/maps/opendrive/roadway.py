@@ -8,7 +8,7 @@ from athrl_driving.maps.opendrive.gaps import close_gaps
 from athrl_driving.maps.opendrive.links import link_roads, link_within, road_ends
 from athrl_driving.maps.opendrive.merging import merged
 from athrl_driving.maps.opendrive.model import MapError, OpenDrive
-from athrl_driving.maps.opendrive.unlinked import link_lanes_that_meet
+from athrl_driving.maps.opendrive.unlinked import link_lanes_that_meet, note_roads_that_meet
 
 _TYPES_NAMED = 5
 
@@ -41,6 +41,7 @@ def build_roadway(content: OpenDrive) -> Roadway:
         raise MapError(f"{content.name}: there is no driving lane in the file{_types_of_lanes(content)}")
     link_roads(content, road_ends(carriageways))
     link_lanes_that_meet(content, carriageways)
+    note_roads_that_meet(content, carriageways)
     close_gaps(content, carriageways)
     return Roadway(content, carriageways, metres / 1000.0, _junction_arms(content))
 

@@ -1,5 +1,6 @@
-"""Lanes that go on across a joint of two sections or roads although the file does not link them."""
+"""Lanes that meet end to end although the file does not link them: linked, or told of."""
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
@@ -10,12 +11,18 @@ from athrl_driving.maps.opendrive.model import OpenDrive
 
 FOUND = "lanes that meet where their roads or sections do, without a link of lanes, were linked"
 
+NOT_LINKED = "a lane ends where another begins, but no link says that it leads there: nobody drives on"
+
 _NEAR = 0.1
 """Metres between the end of a lane and the start of the one that it leads to."""
 
 _STRAIGHT = math.radians(5.0)
 
-Cells = dict[tuple[str, int, int], list[LaneSegment]]
+_MOST_ROADS = 16
+"""Roads that begin at one place, of which lanes are looked at for missing links."""
+
+Cell = tuple[int, int]
+Cells = dict[tuple[str, Cell], list[LaneSegment]]
 """Segments by the road that they are of, and the cell in which they start."""
 
 
@@ -44,6 +51,43 @@ def link_lanes_that_meet(content: OpenDrive, carriageways: list[Carriageway]) ->
         content.note(FOUND, segment.carriageway.road.id, segment.lane.id, segment.lane.line)
 
 
+def note_roads_that_meet(content: OpenDrive, carriageways: list[Carriageway]) -> None:
+    """Note lanes that end where one of another road begins, if neither road has a link there.
+
+    There may be a barrier, but whoever forgot a link wonders why nobody drives on. Of many roads that begin
+    at one place the first are looked at.
+    """
+    segments = [segment for carriageway in carriageways for segment in carriageway.lanes]
+    reached = {after for segment in segments for after in segment.successors}
+    starts: Cells = defaultdict(list)
+    roads: dict[Cell, dict[str, None]] = defaultdict(dict)
+    for segment in segments:
+        road, cell = _place(segment)
+        if (
+            segment not in reached
+            and not _links_road(segment, at_end=False)
+            and len(roads[cell]) < _MOST_ROADS
+        ):
+            starts[road, cell].append(segment)
+            roads[cell][road] = None
+    for segment in segments:
+        if segment.successors or _links_road(segment, at_end=True):
+            continue
+        x, y, _ = segment.at(segment.length)
+        near = itertools.chain.from_iterable(roads.get(cell, ()) for cell in _cells_around(x, y))
+        for other in itertools.islice(_starting_at_end(segment, dict.fromkeys(near), starts), 1):
+            first, second = (
+                f"road {each.carriageway.road.id}, lane {each.lane.id}" for each in (segment, other)
+            )
+            content.findings.add(NOT_LINKED, f"{first}, and {second}", allowed=True)
+
+
+def _links_road(segment: LaneSegment, at_end: bool) -> bool:
+    """Tell whether the road of a segment has a link where the segment ends or starts."""
+    road = segment.carriageway.road
+    return (road.successor if segment.carriageway.forward == at_end else road.predecessor) is not None
+
+
 def _links_lanes(segment: LaneSegment, at_end: bool) -> bool:
     """Tell whether a lane of any type is linked where a segment ends or starts."""
     carriageway, (section, _) = segment.carriageway, segment.keys[-1 if at_end else 0]
@@ -54,20 +98,23 @@ def _links_lanes(segment: LaneSegment, at_end: bool) -> bool:
     )
 
 
-def _cell(x: float, y: float) -> tuple[int, int]:
+def _cell(x: float, y: float) -> Cell:
     return math.floor(x / _NEAR), math.floor(y / _NEAR)
 
 
-def _place(segment: LaneSegment) -> tuple[str, int, int]:
-    return segment.carriageway.road.id, *_cell(segment.x, segment.y)
+def _cells_around(x: float, y: float) -> list[Cell]:
+    column, row = _cell(x, y)
+    return [(column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+
+
+def _place(segment: LaneSegment) -> tuple[str, Cell]:
+    return segment.carriageway.road.id, _cell(segment.x, segment.y)
 
 
 def _starting_at_end(segment: LaneSegment, roads: Iterable[str], starts: Cells) -> Iterator[LaneSegment]:
     """Yield the lanes of `roads` that begin where a segment ends, in its direction and at its height."""
     x, y, heading = segment.at(segment.length)
-    column, row = _cell(x, y)
-    cells = [(column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-    for place in ((road, *cell) for cell in cells for road in roads):
+    for place in ((road, cell) for cell in _cells_around(x, y) for road in roads):
         for other in starts.get(place, []):
             turn = (other.heading - heading + math.pi) % (2.0 * math.pi) - math.pi
             rise = abs(other.elevation - segment.end_elevation)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 from athrl_driving.maps import Town
-from athrl_driving.maps.unlinked_ends import FOUND
+from athrl_driving.maps.opendrive.unlinked import NOT_LINKED
 
 from driving.tests.small_map import SmallMap
 
 
 def places(town: Town) -> list[str]:
-    return [finding.place for finding in town.findings if finding.kind == FOUND]
+    return [finding.place for finding in town.findings if finding.kind == NOT_LINKED]
 
 
 def two_roads(gap: tuple[float, float, float], linked: bool) -> SmallMap:
