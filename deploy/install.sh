@@ -1,8 +1,9 @@
 #!/bin/sh
 # Inside an image that is being built:
-#   install.sh builder           installs what builds the rooms
-#   install.sh packages ROOM...  installs what the rooms of a service need from a package registry
-#   install.sh rooms ROOM...     installs the rooms themselves into /rooms, which is laid over the packages
+#   install.sh builder        installs what builds the rooms
+#   install.sh rooms          installs the rooms of each service into /rooms/SERVICE, which is laid over its packages,
+#                             and writes what they need from a package registry to /requirements/SERVICE.txt
+#   install.sh packages FILE  installs the requirements in FILE
 set -eu
 
 # A build argument that was not given arrives as nothing or as an empty value; pip must not see the latter.
@@ -20,26 +21,43 @@ export PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_PROGRESS_BAR=off
 pip=/opt/builder/bin/pip
 into_image="$pip --python /opt/athrl/bin/python"
 
+# lay_rooms FOLDER ROOM...: installs rooms into the folder.
+lay_rooms() {
+    folder=$1
+    shift
+    wheels=$(mktemp --directory)
+    for room in "$@"; do
+        $pip wheel --quiet --no-deps --no-build-isolation --wheel-dir "$wheels" "./$room"
+    done
+    $into_image install --quiet --no-deps --prefix "$folder" "$wheels"/*.whl
+}
+
 what=$1
-shift
 case $what in
 builder)
     $pip install --quiet --constraint constraints.txt hatchling
     ;;
+rooms)
+    mkdir /rooms /requirements
+    drive='spaces protocol driving athrl'
+    learn='spaces protocol planners athrl'
+    python3 deploy/dependencies.py $drive services/actor >/requirements/actor.txt
+    python3 deploy/dependencies.py $drive services/evaluator >/requirements/evaluator.txt
+    python3 deploy/dependencies.py $learn services/learner >/requirements/learner.txt
+    # A copy with its times: compiled kernels belong to the file and the time of its last change.
+    lay_rooms /rooms/actor $drive
+    cp --archive /rooms/actor /rooms/evaluator
+    lay_rooms /rooms/actor services/actor
+    lay_rooms /rooms/evaluator services/evaluator
+    lay_rooms /rooms/learner $learn services/learner
+    ;;
 packages)
-    python3 deploy/dependencies.py "$@" >/tmp/requirements.txt
     # Of two builds of one version pip takes the one for processors, whose version ends in +cpu.
-    $into_image install --constraint constraints.txt --requirement /tmp/requirements.txt \
+    $into_image install --constraint constraints.txt --requirement "$2" \
         ${TORCH_INDEX_URL:+--extra-index-url "$TORCH_INDEX_URL"}
     ;;
-rooms)
-    for room in "$@"; do
-        $pip wheel --quiet --no-deps --no-build-isolation --wheel-dir /tmp/rooms "./$room"
-    done
-    $into_image install --quiet --no-deps --prefix /rooms /tmp/rooms/*.whl
-    ;;
 *)
-    echo "install.sh: what is '$what'? It is builder, packages or rooms." >&2
+    echo "install.sh: what is '$what'? It is builder, rooms or packages." >&2
     exit 2
     ;;
 esac
