@@ -1,10 +1,13 @@
 """Checkpoints: what is read is what was written, and a kill or a damaged disk costs the newest at most."""
 
 import dataclasses
+import errno
 import json
+import os
 import random
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -232,6 +235,15 @@ def test_a_disk_that_refuses_leaves_the_checkpoints_before(tmp_path, faults):
         with pytest.raises(CheckpointFailed, match="input/output error"):
             write_checkpoint(folder, content(2), faults.FaultyFiles(fails_at=operation))
         assert newest_intact_checkpoint(folder)[1].state["number"] == 1
+
+
+def test_a_folder_that_cannot_be_read_is_a_checkpoint_that_failed(tmp_path, monkeypatch):
+    def fails(self: Path) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(Path, "iterdir", fails)
+    with pytest.raises(CheckpointFailed, match=f"folder of checkpoints {tmp_path}: input/output error"):
+        write_checkpoint(tmp_path, content(1))
 
 
 def test_a_checkpoint_frees_the_segments_that_none_needs(tmp_path):

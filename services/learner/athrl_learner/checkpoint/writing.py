@@ -39,8 +39,7 @@ def write_checkpoint(folder: Path, content: CheckpointContent, files: Files | No
         CheckpointFailed: the disk reports an error; earlier checkpoints are untouched.
     """
     files = files or Files()
-    numbers = [number for number, _ in numbered_checkpoints(folder)]
-    final = folder / checkpoint_name(max(numbers, default=0) + 1)
+    final = folder / _next_name(folder)
     part = final.with_name(final.name + UNFINISHED_SUFFIX)
     try:
         _write_into(files, part, content)
@@ -51,6 +50,15 @@ def write_checkpoint(folder: Path, content: CheckpointContent, files: Files | No
             files.remove_folder(part)
         raise CheckpointFailed(f"cannot write the checkpoint {final}: {system_reason(error)}") from None
     return final
+
+
+def _next_name(folder: Path) -> str:
+    try:
+        numbers = [number for number, _ in numbered_checkpoints(folder)]
+    except OSError as error:
+        reason = system_reason(error)
+        raise CheckpointFailed(f"cannot read the folder of checkpoints {folder}: {reason}") from None
+    return checkpoint_name(max(numbers, default=0) + 1)
 
 
 def _write_into(files: Files, part: Path, content: CheckpointContent) -> None:
