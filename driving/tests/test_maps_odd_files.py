@@ -1,14 +1,15 @@
 """Files with oddities that programs write: read for what they mean, or refused in one line that is true."""
 
+import codecs
 import os
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from athrl_driving.maps import MapError, Town, load_town
-from athrl_driving.perception.drivable import drivable_grid
 
-from driving.tests.faulty_maps import geometry, kinds, lane, metres, ring, road, town_from
+from driving.tests.faulty_maps import ARC, geometry, kinds, lane, metres, ring, road, town_from
 
 OVER = "two roads lie on each other without a junction: vehicles drive through each other there"
 OTHER_RANGE = "a paramPoly3 was read with the other pRange, with which it is as long as it says"
@@ -153,8 +154,129 @@ def test_a_text_that_is_given_for_a_name_is_not_told_in_full() -> None:
 
 
 def test_a_map_too_high_for_the_picture_of_its_surface_is_named(tmp_path: Path) -> None:
-    town = town_from(tmp_path, alone(geometry(0, 0.0, 0.0, 0.0, 400.0), before=elevation((0, 0, 20))))
-    with pytest.raises(
-        ValueError, match=r"^map: the map's lanes lie from 0 to 8,000 m high, at most 6,000 m"
-    ):
-        drivable_grid(town)
+    text = alone(geometry(0, 0.0, 0.0, 0.0, 400.0), before=elevation((0, 0, 20)))
+    assert refusal(tmp_path, text) == (
+        "map.xodr: its lanes lie from 0 to 8,000 m high, at most 6,000 m may be between them"
+    )
+
+
+# Forks in whole metres
+
+
+def widening(lengths: tuple[int, int, int]) -> str:
+    """Return a road whose one lane becomes two, which become one again, after so many metres each."""
+
+    def linked(number: int, before: tuple[int, ...], after: tuple[int, ...]) -> str:
+        links = "".join(f'<predecessor id="{each}"/>' for each in before)
+        links += "".join(f'<successor id="{each}"/>' for each in after)
+        return lane(number, links=links)
+
+    places = np.cumsum([0, *lengths]).tolist()
+    lanes = (linked(-1, (), (-1, -2)), linked(-1, (-1,), (-1,)) + linked(-2, (-1,), (-1,)))
+    sections = "".join(
+        f'<laneSection s="{s}"><right>{inside}</right></laneSection>'
+        for s, inside in zip(places[:3], (*lanes, linked(-1, (-1, -2), ())), strict=True)
+    )
+    plan = geometry(0, 0.0, 0.0, 0.0, places[-1])
+    return f"<OpenDRIVE>{road(1, plan, length=places[-1], links='-', sections=sections)}</OpenDRIVE>"
+
+
+@pytest.mark.parametrize("lengths", [(40, 40, 40), (10, 40, 50), (60, 20, 60), (40, 41, 40)])
+def test_lanes_that_fork_after_whole_metres_are_cut_nowhere_else(
+    tmp_path: Path, lengths: tuple[int, int, int]
+) -> None:
+    """Where a lane ends just where the fork's junction does, a piece without length was cut from the next."""
+    town = town_from(tmp_path, widening(lengths))
+    assert town.graph.length.min() >= 1.0
+    assert np.isfinite(town.graph.grade).all()
+
+
+# Borders
+
+
+def test_a_lane_given_by_borders_is_that_given_by_the_same_widths(tmp_path: Path) -> None:
+    """It narrows from 3.5 m to nothing; where it is narrower than 2.2 m nobody drives."""
+    shapes = {
+        "width": ['<width sOffset="0" a="3" b="0" c="0" d="0"/>',
+                  '<width sOffset="0" a="3.5" b="-0.00875" c="0" d="0"/>'],
+        "border": ['<border sOffset="0" a="-3" b="0" c="0" d="0"/>',
+                   '<border sOffset="0" a="-6.5" b="0.00875" c="0" d="0"/>'],
+    }  # fmt: skip
+    towns = []
+    for shape in shapes.values():
+        right = "".join(lane(-number, each) for number, each in enumerate(shape, 1))
+        sections = f'<laneSection s="0"><right>{right}</right></laneSection>'
+        towns.append(town_from(tmp_path, alone(geometry(0, 0.0, 0.0, 0.0, 400.0), sections=sections)))
+    first, second = (town.graph for town in towns)
+    assert first.width.min() > 2.2
+    for name in ("length", "width", "start_x", "start_y"):
+        np.testing.assert_allclose(getattr(second, name), getattr(first, name), atol=1e-9)
+
+
+# Texts
+
+
+def test_elements_of_other_namespaces_are_no_opendrive(tmp_path: Path) -> None:
+    foreign = '<x:left xmlns:x="urn:other"><x:lane id="-1"/></x:left><x:right xmlns:x="urn:other"/>'
+    town = town_from(tmp_path, ring().replace("<right>", f"{foreign}<right>", 1))
+    assert metres(town) == pytest.approx(metres(town_from(tmp_path, ring())))
+
+
+def test_a_mark_of_utf8_before_latin1_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "map.xodr"
+    text = ring().replace("<OpenDRIVE>", '<OpenDRIVE><header name="Straße"/>')
+    path.write_bytes(codecs.BOM_UTF8 + text.encode("latin-1"))
+    assert metres(load_town(path)) == pytest.approx(metres(town_from(tmp_path, ring())))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (ring().encode("utf-32"), "map.xodr: line 1: it is encoded in UTF-32, it must be in UTF-8 or UTF-16"),
+        (
+            ring().replace("<OpenDRIVE>", "<OpenDRIVE>\n&nbsp;").encode(),
+            "map.xodr: line 2: this is not well-formed XML: the entity &nbsp; is not defined",
+        ),
+    ],
+)
+def test_a_text_that_no_parser_reads_is_refused_with_its_reason(
+    tmp_path: Path, text: bytes, told: str
+) -> None:
+    path = tmp_path / "map.xodr"
+    path.write_bytes(text)
+    with pytest.raises(MapError) as error:
+        load_town(path)
+    assert str(error.value) == told
+
+
+@pytest.mark.parametrize("number", ["4_0", "４０"])
+def test_numbers_are_those_of_xml_and_not_of_python(tmp_path: Path, number: str) -> None:
+    said = refusal(tmp_path, ring().replace('length="', f'length="{number}" was="', 1))
+    assert f"length of <road> is {number!r}, it must be a number" in said
+
+
+def test_a_spiral_turns_by_the_mean_of_its_curvatures(tmp_path: Path) -> None:
+    """From 0 to 1.2 / m over 300 m it turns by 180 rad; at its largest curvature it would by 360."""
+
+    def spiral(end: float) -> str:
+        shape = f'<spiral curvStart="0" curvEnd="{end}"/>'
+        return alone(geometry(0, 0.0, 0.0, 0.0, 300.0, shape), length=300)
+
+    town_from(tmp_path, spiral(1.2))
+    assert "its <spiral> turns by up to 210 rad" in refusal(tmp_path, spiral(1.4))
+
+
+def test_what_is_no_map_on_the_disk_is_not_said_to_be_a_town(tmp_path: Path) -> None:
+    (tmp_path / "ring.xml").write_text(ring())
+    for path, told in ((tmp_path, "is a folder, should be"), (tmp_path / "ring.xml", "ends in .xodr")):
+        with pytest.raises(MapError, match=f"^{re.escape(str(path))}: .*{told}"):
+            load_town(path)
+
+
+def test_roads_that_only_meet_end_to_end_do_not_lie_on_each_other(tmp_path: Path) -> None:
+    """An arc goes on where a line ends, and no link says so."""
+    line, arc = geometry(0, 0.0, 0.0, 0.0, 101.0), geometry(0, 101.0, 0.0, 0.0, 60.0, ARC)
+    both = "".join(
+        road(n, plan, length=metres, links="-") for n, plan, metres in ((1, line, 101), (2, arc, 60))
+    )
+    assert OVER not in kinds(town_from(tmp_path, f"<OpenDRIVE>{both}</OpenDRIVE>"))

@@ -101,7 +101,7 @@ def test_a_road_is_prolonged_along_its_slope_and_its_bend(tmp_path: Path) -> Non
 def test_a_short_road_by_itself_is_not_prolonged(tmp_path: Path) -> None:
     roads = SmallMap()
     roads.road(1, (0.0, 0.0, 0.0), [(11.0, 0.0)])
-    with pytest.raises(MapError, match=r"no lane is long enough to stand on: the longest .+ has 11.0 m"):
+    with pytest.raises(MapError, match=r"no lane is long enough to stand on: the longest .+ has 11.00 m"):
         roads.load(tmp_path)
 
 

@@ -84,9 +84,11 @@ def make_junctions_of_crossings(carriageways: list[Carriageway]) -> list[FoundCr
         FoundCrossing(name, _place(crossing), _roads(crossing))
         for name, crossing in zip(names, crossings, strict=True)
     ]
-    for carriageway in list(carriageways):
-        if any(segment in stretches for segment in carriageway.lanes):
-            _mark(carriageways, carriageway, stretches, names)
+    parts: list[Carriageway] = []
+    for carriageway in carriageways:
+        crosses = any(segment in stretches for segment in carriageway.lanes)
+        parts += _marked(carriageway, stretches, names) if crosses else [carriageway]
+    carriageways[:] = parts
     return found
 
 
@@ -206,13 +208,10 @@ def _place(crossing: _Crossing) -> str:
     return " and ".join(places)
 
 
-def _mark(
-    carriageways: list[Carriageway],
-    carriageway: Carriageway,
-    stretches: dict[LaneSegment, list[_Stretch]],
-    names: list[str],
-) -> None:
-    """Cut a carriageway into parts, and make junctions of their lanes where those cross others."""
+def _marked(
+    carriageway: Carriageway, stretches: dict[LaneSegment, list[_Stretch]], names: list[str]
+) -> list[Carriageway]:
+    """Cut a carriageway into parts, make junctions of their lanes where those cross others; return them."""
     longest = max(segment.length for segment in carriageway.lanes)
     steps = max(1, int(longest / _CUT))
     # By lane, in the order of the carriageway: the crossing of each step, or none.
@@ -225,13 +224,14 @@ def _mark(
             own[first:last] = [names[crossing]] * (last - first)
         marks.append(own)
     columns = list(zip(*marks, strict=True))
-    done = 0
+    done, parts = 0, [carriageway]
     for step in range(1, steps + 1):
         if step < steps and columns[step] == columns[step - 1]:
             continue
-        part = carriageway
+        part = parts[-1]
         if step < steps:
-            carriageway = split(carriageways, carriageway, (step - done) / (steps - done))
+            parts.append(split(part, (step - done) / (steps - done)))
         for segment, name in zip(part.lanes, columns[step - 1], strict=True):
             segment.junction = segment.junction or name
         done = step
+    return parts

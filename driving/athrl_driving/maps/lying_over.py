@@ -20,6 +20,9 @@ FOUND = "two roads lie on each other without a junction: vehicles drive through 
 _OVER = 1.8
 """Metres between centre lines, below which vehicles on them touch."""
 
+_MEET = 0.1
+"""Metres: by so little two parts of lanes overlap that meet."""
+
 _LEAST = 10.0
 """Metres of lane that are told of: less is where roads meet."""
 
@@ -52,6 +55,9 @@ def note_lanes_lying_over(findings: Findings, segments: list[LaneSegment]) -> No
         beside = np.abs(along[:, 0] * between[:, 1] - along[:, 1] * between[:, 0])
         near = (beside < _OVER * length[a]) & (chords.segment[a] < chords.segment[b])
         near &= np.hypot(between[:, 0], between[:, 1]) < CHORD
+        # Parts that only meet end to end, as those of roads in line, do not lie on each other.
+        onward = np.abs((along * between).sum(axis=1))
+        near &= onward < length[a] * (0.5 * (length[a] + length[b]) - _MEET)
         near &= (road[a] != road[b]) | (np.abs(station[a] - station[b]) > _ONE_PLACE)
         lying += int(near.sum())
         refuse_many(lying, MOST_LYING_OVER, "pairs of parts of lanes lie on each other")

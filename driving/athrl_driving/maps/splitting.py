@@ -5,10 +5,10 @@ from dataclasses import replace
 from athrl_driving.maps.opendrive.carriageways import Carriageway
 
 
-def split(carriageways: list[Carriageway], carriageway: Carriageway, share: float) -> Carriageway:
+def split(carriageway: Carriageway, share: float) -> Carriageway:
     """Cut a carriageway at a share (0 to 1) of its length, in driving direction; return what is behind it.
 
-    What is behind the cut is put behind it in `carriageways` too; each lane leads on to its other part.
+    Each lane leads on to its other part.
     """
     cut = carriageway.start + (share if carriageway.forward else 1.0 - share) * (
         carriageway.end - carriageway.start
@@ -28,5 +28,4 @@ def split(carriageways: list[Carriageway], carriageway: Carriageway, share: floa
     carriageway.start, carriageway.end = (
         (carriageway.start, cut) if carriageway.forward else (cut, carriageway.end)
     )
-    carriageways.insert(carriageways.index(carriageway) + 1, rest)
     return rest

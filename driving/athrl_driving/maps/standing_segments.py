@@ -159,14 +159,17 @@ def _take(
     if over > FORK_LENGTH:
         length = max(length, min(over, 0.5 * sum(part.length for part in chain)))
     for part in chain:
-        if length < part.length:
+        if length < part.length - SHORTEST:
             cut = length if forward else part.length - length
-            place_in_row = part.carriageway.lanes.index(part)
-            rest = split(carriageways, part.carriageway, cut / part.length)
+            place_in_row, carriageway = part.carriageway.lanes.index(part), part.carriageway
+            rest = split(carriageway, cut / part.length)
+            carriageways.insert(carriageways.index(carriageway) + 1, rest)
             (part if forward else rest.lanes[place_in_row]).junction = place
             return
         part.junction = place
         length -= part.length
+        if length < SHORTEST:  # nothing of the next part: a piece without length would be no lane
+            return
 
 
 def _place(segment: LaneSegment) -> str:
@@ -187,7 +190,7 @@ def standing_segments(name: str, segments: list[LaneSegment]) -> set[LaneSegment
             standing.update(chain)
     if not standing:
         raise MapError(
-            f"{name}: no lane is long enough to stand on: the longest outside junctions has {longest:.1f} m, "
+            f"{name}: no lane is long enough to stand on: the longest outside junctions has {longest:.2f} m, "
             f"one at least must have {STANDING_LENGTH:g} m"
         )
     return standing

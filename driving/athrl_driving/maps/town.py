@@ -25,6 +25,7 @@ from athrl_driving.maps.making.random_towns import checksum, lay_random_town
 from athrl_driving.maps.making.writing import opendrive_text
 from athrl_driving.maps.network import TownNetwork, build_network
 from athrl_driving.maps.opendrive import MapError, OpenDrive, parse_opendrive, read_opendrive
+from athrl_driving.maps.opendrive.bounds import LARGEST_HEIGHT_RANGE
 from athrl_driving.maps.opendrive.carriageways import LaneSegment
 from athrl_driving.maps.opendrive.roadway import Roadway, build_roadway
 from athrl_driving.maps.outlines import LaneShapes, centre_lines
@@ -139,6 +140,7 @@ def load_town(name: str | os.PathLike[str], *, strict: bool = False) -> Town:
     if str(name).lower().endswith(".xodr"):
         path = Path(name)
     elif str(name) not in TOWNS:
+        _refuse_other_file(Path(name))
         near = nearest_town(str(name))
         hint = f", did you mean {near!r}?" if near else "."
         told = str(name) if len(str(name)) <= _LONGEST_NAME else f"{str(name)[:_LONGEST_NAME]}..."
@@ -147,6 +149,18 @@ def load_town(name: str | os.PathLike[str], *, strict: bool = False) -> Town:
             f"There are {', '.join(TOWNS)}, {RANDOM_TOWNS}; a file is given by its path (.xodr)"
         )
     return _load_file(path, strict)
+
+
+def _refuse_other_file(path: Path) -> None:
+    """Raise `MapError` where what is no town's name is something on the disk."""
+    try:
+        folder, file = path.is_dir(), path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return
+    if folder:
+        raise MapError(f"{one_line(str(path))}: is a folder, should be a map's file (.xodr)")
+    if file:
+        raise MapError(f"{one_line(str(path))}: the name of a map's file ends in .xodr")
 
 
 def _load_file(path: Path, strict: bool) -> Town:
@@ -213,6 +227,7 @@ def build_town(name: str, roadway: Roadway) -> Town:
     drivable = drivable_part(carriageways, standing, find_movements(segments, standing))
     numbering = number_lanes(drivable)
     _check_drivable(content.name, drivable)
+    _check_height_range(content.name, drivable)
     kept = set(numbering.segments)
     lost = [segment for segment in segments if segment not in kept]
     settle_short_ends(content.findings, dict.fromkeys(numbering.segments), lost)
@@ -252,6 +267,15 @@ def build_town(name: str, roadway: Roadway) -> Town:
         left_out_shapes=_shapes(lost),
         findings=tuple(content.findings),
     )
+
+
+def _check_height_range(name: str, drivable: Drivable) -> None:
+    """Raise `MapError` where lanes lie too far above each other."""
+    heights = [height for each in drivable.segments for height in (each.elevation, each.end_elevation)]
+    low, high = min(heights), max(heights)
+    if high - low > LARGEST_HEIGHT_RANGE:
+        most = f"at most {LARGEST_HEIGHT_RANGE:,.0f} m may be between them"
+        raise MapError(f"{name}: its lanes lie from {low:,.0f} to {high:,.0f} m high, {most}")
 
 
 def _check_drivable(name: str, drivable: Drivable) -> None:

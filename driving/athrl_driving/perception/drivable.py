@@ -19,6 +19,7 @@ from athrl_driving.kernels.compilation import compiled
 from athrl_driving.maps import LaneGraph, Town
 from athrl_driving.maps.geometry import lane_pose, lane_project
 from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
+from athrl_driving.maps.opendrive.bounds import LARGEST_HEIGHT_RANGE
 
 CELL = 0.5
 """Side of a cell of the town's grid, m."""
@@ -43,7 +44,7 @@ _SEGMENT_LENGTH = 16.0
 
 _LAYERS = 4
 
-_HIGHEST = 3000.0
+_HIGHEST = 0.5 * LARGEST_HEIGHT_RANGE
 """Metres above or below a base that cells can have; beyond, 16 bits of `HEIGHT_UNIT` would not do."""
 
 _BYTES_OF_A_CELL = 11

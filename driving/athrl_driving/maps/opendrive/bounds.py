@@ -50,6 +50,9 @@ LARGEST_COORDINATE = 1e8
 LARGEST_AREA = 4096.0
 """Square kilometres around all lanes, as the lane graph has a grid of cells; Berlin has 890."""
 
+LARGEST_HEIGHT_RANGE = 6_000.0
+"""Metres between the lowest and the highest lane, as the picture of their surface has heights of 16 bits."""
+
 LONGEST_ROAD = 200_000.0
 """Metres; roads of public maps have up to some tens of kilometres."""
 

@@ -56,9 +56,7 @@ def bands_at(content: OpenDrive, road: Road, section: LaneSection, stations: Flo
     for side in (1, -1):
         inner, constant = np.zeros_like(stations), shift_constant
         for lane in _outwards(section, side):
-            records = lane.widths or lane.borders
-            values, own_constant = _value(record_at(records, middle) or records[0], stations)
-            width = values if lane.widths else np.abs(values) - inner
+            width, own_constant = _value(record_at(lane.widths, middle) or lane.widths[0], stations)
             if float(width.min()) < _ROUNDED_WIDTH:
                 width = _at_least_zero(content, road, lane, width, stations)
             constant = constant and own_constant
@@ -93,7 +91,7 @@ def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[fl
     for side in (1, -1):
         records: list[Cubic] = []
         for lane in _outwards(section, side):
-            records += lane.widths or lane.borders
+            records += lane.widths
             if lane.drives:
                 cuts.update(record.s for record in records)
                 cuts.update(limit.s for limit in lane.speeds)
@@ -194,7 +192,7 @@ def _value(record: Cubic | None, stations: Floats) -> tuple[Floats, bool]:
 
 
 def _narrow_limit(lane: Lane, section: LaneSection) -> float:
-    if not lane.widths or (len(lane.widths) == 1 and lane.widths[0].is_constant):
+    if len(lane.widths) == 1 and lane.widths[0].is_constant:
         return _LEAST
     stations = np.linspace(section.s, section.end, 17)
     widest = max(_width_at(lane, float(s)) for s in stations)
@@ -208,7 +206,7 @@ def _width_at(lane: Lane, s: float) -> float:
 
 def _narrow_ends(lane: Lane, section: LaneSection) -> list[float]:
     """Return the stations where a lane becomes wide or narrow enough, found by bisection."""
-    if not lane.widths or (len(lane.widths) == 1 and lane.widths[0].is_constant):
+    if len(lane.widths) == 1 and lane.widths[0].is_constant:
         return []
     limit = _narrow_limit(lane, section)
     stations = [float(s) for s in np.linspace(section.s, section.end, 65)]

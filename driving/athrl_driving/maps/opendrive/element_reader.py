@@ -59,7 +59,7 @@ class ElementReader:
         """Return an attribute as a finite number from -`most` to `most`."""
         text = self.text(element, attribute)
         try:
-            value = float(text)
+            value = float(_plain(text))
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
@@ -87,7 +87,7 @@ class ElementReader:
         """Return an attribute as a whole number."""
         text = self.text(element, attribute)
         try:
-            value = int(text)
+            value = int(_plain(text))
         except ValueError:
             value = LARGEST_ID + 1
         if abs(value) > LARGEST_ID:
@@ -147,3 +147,10 @@ class ElementReader:
             raise self.error(element, f"the speed's unit is {unit!r}, it must be one of m/s, km/h, mph")
         self.note(element, "a unit of speed that does not exist was read as the one it is like")
         return usual
+
+
+def _plain(text: str) -> str:
+    """Return the text of a number. Raises `ValueError` for what Python reads as one and XML does not."""
+    if "_" in text or not text.isascii():
+        raise ValueError(text)
+    return text

@@ -106,7 +106,7 @@ class SpeedLimit:
 
 @dataclass(slots=True, eq=False)
 class Lane:
-    """A lane of a section; the width is given by `widths` or, where these are empty, by `borders`."""
+    """A lane of a section. What its file gives by `borders` has `widths` once the whole section is read."""
 
     id: int
     type: str

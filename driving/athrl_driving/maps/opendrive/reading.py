@@ -2,7 +2,7 @@
 
 import io
 import re
-from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -38,6 +38,9 @@ _NO_LINE = "a road without a reference line was left out"
 
 _ENCODING = re.compile(rb"<\?xml[^>]*encoding=[\"']([^\"']+)")
 
+_ENTITY = re.compile(rb"&(?!(?:amp|lt|gt|quot|apos);)[A-Za-z_][\w.-]{0,60};")
+"""A reference to an entity that XML itself does not define."""
+
 
 def read_opendrive(path: Path, strict: bool = False) -> OpenDrive:
     """Return a file's content; small faults are among its `findings`, and errors where it is read strictly.
@@ -60,9 +63,7 @@ def parse_opendrive(name: str, text: bytes, strict: bool = False) -> OpenDrive:
         for element in _parts(name, _as_utf8(findings, text)):
             _read_part(reader, content, element)
     except etree.XMLSyntaxError as error:
-        raise MapError(
-            f"{name}: line {error.lineno}: this is not well-formed XML: {one_line(error.msg or '')}"
-        ) from None
+        raise MapError(f"{name}: {_why_not_xml(text, error)}") from None
     if not content.roads:
         raise MapError(f"{name}: {_why_no_roads(findings)}")
     _check_junctions(content)
@@ -73,6 +74,8 @@ def parse_opendrive(name: str, text: bytes, strict: bool = False) -> OpenDrive:
 
 def _check_size(name: str, text: bytes) -> None:
     """Refuse a file that needs too much memory as a tree: every element has a `<`, every attribute a `=`."""
+    if text[:4] in (BOM_UTF32_BE, BOM_UTF32_LE):
+        raise MapError(f"{name}: line 1: it is encoded in UTF-32, it must be in UTF-8 or UTF-16")
     begins = text.lstrip()[:3]
     if begins[:1] != b"<" and begins != BOM_UTF8 and begins[:2] not in (BOM_UTF16_LE, BOM_UTF16_BE):
         raise MapError(f"{name}: line 1: this is not well-formed XML: it does not begin with '<'")
@@ -96,8 +99,18 @@ def _as_utf8(findings: Findings, text: bytes) -> bytes:
     except UnicodeDecodeError as error:
         line = text.count(b"\n", 0, error.start) + 1
         findings.add("text that is not UTF-8 was read as Latin-1", f"line {line}")
-        return text.decode("latin-1").encode()
+        return text.removeprefix(BOM_UTF8).decode("latin-1").encode()
     return text
+
+
+def _why_not_xml(text: bytes, error: etree.XMLSyntaxError) -> str:
+    """Return line and reason of a parser's error; it has no line for an entity that is not defined."""
+    entity = None if error.lineno else _ENTITY.search(text)
+    if entity is not None:
+        line, called = text.count(b"\n", 0, entity.start()) + 1, one_line(entity[0].decode("latin-1"))
+        return f"line {line}: this is not well-formed XML: the entity {called} is not defined"
+    where = f"line {error.lineno}: " if error.lineno else ""
+    return f"{where}this is not well-formed XML: {one_line(error.msg or '')}"
 
 
 def _parts(name: str, text: bytes) -> Iterator[etree._Element]:
@@ -114,13 +127,24 @@ def _parts(name: str, text: bytes) -> Iterator[etree._Element]:
         if root is None or root.getparent() is not None:
             continue  # deeper in the tree the names mean something else
         _check_root(name, root)
-        for inner in element.iter("{*}*"):
-            inner.tag = etree.QName(inner).localname
-        yield element
+        own = etree.QName(root).namespace
+        if etree.QName(element).namespace in (own, None):
+            _strip_namespaces(element, own)
+            yield element
         element.clear()
         while element.getprevious() is not None:
             del root[0]
     _check_root(name, events.root)
+
+
+def _strip_namespaces(element: etree._Element, own: str | None) -> None:
+    """Give elements of the root's namespace plain names, and remove others: they are no OpenDRIVE."""
+    for inner in list(element.iter("{*}*")):
+        called = etree.QName(inner)
+        if called.namespace in (own, None):
+            inner.tag = called.localname
+        else:
+            inner.getparent().remove(inner)
 
 
 def _check_root(name: str, root: etree._Element) -> None:

@@ -6,6 +6,7 @@ import itertools
 
 from lxml import etree  # type: ignore[import-untyped]
 
+from athrl_driving.maps.opendrive.borders import widths_from_borders
 from athrl_driving.maps.opendrive.bounds import GAP, LARGEST_GAP, MOST_LANES_BESIDE
 from athrl_driving.maps.opendrive.element_reader import ElementReader
 from athrl_driving.maps.opendrive.model import Cubic, Lane, LaneMark, LaneSection
@@ -71,6 +72,7 @@ def _read_section(reader: ElementReader, element: etree._Element) -> LaneSection
             f"a <laneSection> has {len(lanes)} lanes, at most {MOST_LANES_BESIDE} may be beside each other"
         )
         raise reader.error(element, message)
+    widths_from_borders(lanes)
     return LaneSection(begin, begin, lanes, element.sourceline or 0)
 
 

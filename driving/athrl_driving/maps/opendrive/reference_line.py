@@ -113,11 +113,23 @@ def _check_turns(content: OpenDrive, road: Road) -> None:
     """Refuse lines and arcs that turn round and round: each turn is several pieces."""
     ends = [*(geometry.s for geometry in road.geometries[1:]), road.length]
     for geometry, end in zip(road.geometries, ends, strict=True):
-        curvatures = geometry.parameters if geometry.kind in ("arc", "spiral") else (0.0,)
-        turn = max(abs(curvature) for curvature in curvatures) * max(geometry.length, end - geometry.s)
+        turn = _mean_bend(geometry) * max(geometry.length, end - geometry.s)
         if turn > MOST_TURN:
             message = f"its <{geometry.kind}> turns by up to {turn:,.0f} rad, at most {MOST_TURN:g} may be"
             raise content.error(road.id, None, geometry.line, message)
+
+
+def _mean_bend(geometry: Geometry) -> float:
+    """Return the mean of the curvature's absolute value (1/m) along a geometry; 0 of a formula."""
+    if geometry.kind == "arc":
+        return abs(geometry.parameters[0])
+    if geometry.kind != "spiral":
+        return 0.0
+    first, last = geometry.parameters
+    together = abs(first) + abs(last)
+    if first * last >= 0.0:
+        return 0.5 * together
+    return 0.5 * (first**2 + last**2) / together
 
 
 def _arc(curvature: float, ds: Floats) -> tuple[Floats, Floats, Floats]:
