@@ -175,6 +175,10 @@ def test_kinds_of_runs_are_told_apart_in_one_line(command, runs: Path) -> None:
     text = (distributed / "run.toml").read_text()
     (distributed / "run.toml").write_text(text.replace("enabled = true", "enabled = false"))
     calls = {
+        "environment.ticks_per_decision was 4, is 5: a serial run can only be resumed with the same": [
+            *("train", "--resume", whole, "--set", "environment.ticks_per_decision=5"),
+        ],
+        "environment.towns was": ["train", "--resume", whole, "--set", "environment.towns=town02"],
         "has no separate learner": ["learner", "--resume", whole],
         "can only be resumed as one": ["train", "--resume", whole, "--set", "serial.enabled=false"],
         "hold no environments": ["train", "--serial", "--resume", str(distributed)],

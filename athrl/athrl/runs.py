@@ -6,7 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from athrl_protocol import RunFileError
-from athrl_protocol.run_file import RunFile, are_other_towns, declare_planners, read_run_file, settings
+from athrl_protocol.run_file import (
+    EnvironmentSection,
+    RunFile,
+    are_other_towns,
+    declare_planners,
+    read_run_file,
+    settings,
+)
 from athrl_protocol.run_file.toml_values import to_toml_value
 
 from athrl.errors import CommandError, needs
@@ -109,6 +116,20 @@ def told_other_towns(folder: Path, resumed: RunFile) -> str:
         return ""
     was, now = (", ".join(settings.environment.towns) for settings in (began, resumed))
     return f"{folder} goes on in another town than before: was {was}, is {now}"
+
+
+def require_same_environments(folder: Path, resumed: RunFile) -> None:
+    """Raise CommandError for a serial run with other environments: it drives its episodes again to resume."""
+    if not resumed.serial.enabled:
+        return
+    began = read_run_file(folder / "run.toml", complete=True)
+    for name in EnvironmentSection.model_fields:
+        was, now = (getattr(settings.environment, name) for settings in (began, resumed))
+        if are_other_towns(began, resumed) if name == "towns" else was != now:
+            raise CommandError(
+                f"environment.{name} was {was}, is {now}: a serial run can only be resumed with the same "
+                "environments, in which it drives its open episodes again"
+            )
 
 
 def require_name(name: str, place: str) -> None:

@@ -193,6 +193,18 @@ def test_replay_is_sized_as_the_learner_sizes_it() -> None:
     assert machine.replay_bytes(of_run) == pytest.approx(real, rel=0.1)
 
 
+def test_each_town_of_the_run_is_looked_at(tmp_path: Path) -> None:
+    gone = tmp_path / "gone.xodr"
+    settings = read_run_file(
+        None, [f'environment.towns={{town02=1, "{gone}"=1}}', "environment.vehicles=158"]
+    )
+    here, missing = machine.towns(settings)
+    assert here == ok("towns", "town02 has room for 158 vehicles")
+    assert (missing.level, missing.seen) == (Level.FAILED, f"{gone}: there is no such file")
+    (full,) = machine.towns(read_run_file(None, ["environment.towns=town02", "environment.vehicles=159"]))
+    assert full.seen == "environment.vehicles is 159, town02 has room for 158"
+
+
 def test_simulation_is_told_where_its_code_is_or_that_it_has_no_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

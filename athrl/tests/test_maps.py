@@ -62,7 +62,7 @@ def test_map_is_checked_drawn_and_driven(tmp_path: Path) -> None:
         (["town1"], "there is no town named 'town1'"),
         (["town02", "--picture", "town02.jpg"], "--picture town02.jpg: its name should end in .png"),
         (["town02", "--picture", "gone/town02.png"], "--picture gone/town02.png: there is no folder"),
-        (["town02", "--vehicles", "162"], "--vehicles 162: town02 has room for 161 at most"),
+        (["town02", "--vehicles", "159"], "--vehicles 159: town02 has room for 158 at most"),
         (["town02", "--vehicles", "0"], "--vehicles"),
         ([], "FILE"),
     ],

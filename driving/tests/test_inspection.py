@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pygame
 import pytest
+from athrl_driving.episode.room_for_vehicles import places_beside_an_ego
 from athrl_driving.errors import DrivingError
 from athrl_driving.inspection import draw_town, facts_of, suggested_vehicles, try_traffic
 from athrl_driving.inspection.facts import ways_out
@@ -72,8 +73,8 @@ def test_facts_of_a_town_are_those_of_its_file(name: str) -> None:
     assert facts.driven.kilometres == pytest.approx(town.lane_kilometres, rel=0.01)
     assert len(facts.driven.parts) == 1
     assert facts.traffic_lights == {"town04": 10}.get(name, 0)
-    assert facts.driven.vehicle_places == starting_places(town)
-    assert 0 < suggested_vehicles(town) < starting_places(town)
+    assert facts.driven.vehicle_places == places_beside_an_ego(town)
+    assert 0 < suggested_vehicles(town) < places_beside_an_ego(town) < starting_places(town)
 
 
 def test_file_without_a_header_has_no_revision(tmp_path: Path) -> None:

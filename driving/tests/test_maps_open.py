@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from athrl_driving.drivers import RuleBasedDriver
 from athrl_driving.envs import TownEnv, TownVectorEnv
+from athrl_driving.episode.room_for_vehicles import places_beside_an_ego
 from athrl_driving.maps import MapError, Town, load_town
 from athrl_driving.route import Route
 from athrl_driving.traffic import starting_places
@@ -229,6 +230,18 @@ def test_a_nearly_full_map_has_room_at_every_reset(tmp_path: Path) -> None:
     path = str(small_map.write(tmp_path))
     vector = TownVectorEnv(3, {"vehicles_count": starting_places(load_town(path)) - 1}, map=path)
     for seed in range(30):
+        vector.reset(seed=seed)
+
+
+def test_what_a_map_has_room_for_beside_an_ego_fits_at_every_reset(tmp_path: Path) -> None:
+    small_map = SmallMap()
+    small_map.crossing([200.0, 150.0, 60.0, 90.0])
+    path = str(small_map.write(tmp_path))
+    town = load_town(path)
+    room = places_beside_an_ego(town)
+    assert starting_places(town) - 4 <= room < starting_places(town)
+    vector = TownVectorEnv(8, {"vehicles_count": room}, map=path)
+    for seed in range(0, 240, 8):
         vector.reset(seed=seed)
 
 

@@ -97,6 +97,7 @@ def _checks(settings: RunFile, connect: str | None, run: str | None) -> Iterator
     yield "disk", lambda: disk.disk(settings)
     yield "simulation", machine.simulation
     if connect is None:
+        yield "towns", lambda: machine.towns(settings)
         yield "port", lambda: network.port(settings)
     yield "certificates", lambda: network.certificates(settings)
     yield "delivery", lambda: round_trip.round_trip(settings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import math
 import os
 from collections.abc import Iterator
@@ -12,6 +13,8 @@ from athrl_protocol.run_file import RunFile
 from athrl_spaces import CHANNELS
 
 from athrl.doctor.finding import Finding, failed, ok, warning
+from athrl.errors import CommandError
+from athrl.train.plan import require_world
 
 LEARNER_BYTES, ACTOR_BYTES = 2**30, 400 * 2**20
 """Memory of a learner without its replay, and of an actor with 64 environments."""
@@ -67,6 +70,20 @@ def simulation() -> Iterator[Finding]:
         )
     else:
         yield ok("simulation", f"the first start compiles it, a minute, into {folder}")
+
+
+def towns(settings: RunFile) -> Iterator[Finding]:
+    """Check that each town of the run can be driven in and has room for its vehicles."""
+    if importlib.util.find_spec("athrl_driving") is None:
+        return
+    for town, share in settings.environment.towns.items():
+        alone = settings.environment.model_copy(update={"towns": {town: share}})
+        try:
+            require_world(alone)
+        except (CommandError, ValueError) as error:
+            yield failed("towns", str(error), "change environment.towns or environment.vehicles")
+        else:
+            yield ok("towns", f"{town} has room for {settings.environment.vehicles} vehicles")
 
 
 def replay_bytes(settings: RunFile) -> int:

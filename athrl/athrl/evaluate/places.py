@@ -63,10 +63,10 @@ def check_town(town: str, vehicles: int = 0) -> None:
         CommandError: the town is one of these.
     """
     with needs("evaluator"):
+        from athrl_driving.episode.room_for_vehicles import places_beside_an_ego
         from athrl_driving.maps import load_town
-        from athrl_driving.traffic import starting_places
     try:
-        places = starting_places(load_town(town))
+        places = places_beside_an_ego(load_town(town))
     except ValueError as error:
         raise CommandError(f"--town {town}: {error}") from None
     if vehicles > places:

@@ -127,10 +127,10 @@ def _vehicles(section: ElsewhereSection, run: PlannedRun) -> int:
 def _room(place: str, town: str, strict: bool) -> int:
     """Return for how many vehicles a town has room; raises StudyFileError where it cannot be read so."""
     with needs("evaluator"):
+        from athrl_driving.episode.room_for_vehicles import places_beside_an_ego
         from athrl_driving.maps import load_town
-        from athrl_driving.traffic import starting_places
     try:
-        return starting_places(load_town(town, strict=strict))
+        return places_beside_an_ego(load_town(town, strict=strict))
     except ValueError as error:
         raise StudyFileError(f"{place}: {error}") from None
 

@@ -112,6 +112,8 @@ def train(
     plan = _plan(run_file, given, name, resume)
     other_towns = runs.told_other_towns(plan.folder, plan.settings) if plan.resume else ""
     _require_fitting(plan, actors, viewer_port, stop_at)
+    if plan.resume:
+        runs.require_same_environments(plan.folder, plan.settings)
     if _said_finished(plan):
         return
     require_world(plan.settings.environment)

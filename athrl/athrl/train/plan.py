@@ -91,11 +91,11 @@ def require_services() -> None:
 
 def require_world(environment: EnvironmentSection) -> None:
     """Raise an error of one line for a map that cannot be driven, or has too little room for the vehicles."""
+    from athrl_driving.episode.room_for_vehicles import places_beside_an_ego
     from athrl_driving.maps import load_town
-    from athrl_driving.traffic import starting_places
 
     for town in environment.towns:
-        places = starting_places(load_town(town, strict=environment.strict_map))
+        places = places_beside_an_ego(load_town(town, strict=environment.strict_map))
         if environment.vehicles > places:
             raise CommandError(
                 f"environment.vehicles is {environment.vehicles}, {town} has room for {places}"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from athrl_driving.episode.room_for_vehicles import places_beside_an_ego
 from athrl_driving.inspection.bends import Bends, bends_of
 from athrl_driving.inspection.ways import mean_way
 from athrl_driving.maps import Town
@@ -13,7 +14,6 @@ from athrl_driving.maps.findings import Findings
 from athrl_driving.maps.lane_graph import Integers, LaneGraph
 from athrl_driving.maps.outlines import outlines
 from athrl_driving.maps.reachability import Edges, components
-from athrl_driving.traffic.state import starting_places
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Driven:
     ways_out: int
     """Lanes that end at the map's edge, where vehicles leave it; none on a closed map."""
     vehicle_places: int
-    """Background vehicles for which there is room."""
+    """Background vehicles for which there is room beside an ego."""
     light_groups: int
     """Groups of traffic lights that change together and that lanes heed."""
     light_lanes: int
@@ -113,7 +113,7 @@ def _driven(town: Town) -> Driven:
         share=total / (total + left_out),
         parts=tuple(sorted((lengths[lengths > 0.0] / 1000.0).tolist(), reverse=True)),
         ways_out=len(ways_out(town.graph)),
-        vehicle_places=starting_places(town),
+        vehicle_places=places_beside_an_ego(town),
         light_groups=len(town.signals.cycle),
         light_lanes=len(lanes_before_lights(town)),
         mean_way=mean_way(town),

@@ -26,7 +26,8 @@ SIGNAL_SHIFT = 600.0
 
 Seeds = NDArray[np.uint64]
 
-_JITTER = 1.0
+JITTER = 1.0
+"""Metres by which a vehicle starts before or behind its place, at most."""
 
 
 def place_vehicles(
@@ -106,7 +107,7 @@ def _choose_places(
         drawn = int(_uniform(state) * left)
         left -= 1
         choices[drawn], choices[left] = choices[left], choices[drawn]
-        jitter = (2.0 * _uniform(state) - 1.0) * _JITTER
+        jitter = (2.0 * _uniform(state) - 1.0) * JITTER
         if _put(traffic, placed, choices[left], jitter, x, y, clearance):
             background.random_state[placed] = next_random(state)
             plan_from(lane_links, background, placed, 1)

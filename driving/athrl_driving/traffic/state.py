@@ -73,19 +73,19 @@ def new_traffic(
 
 def starting_places(town: Town) -> int:
     """Return the number of places of a town where background vehicles may start."""
-    return len(_lane_links_of(town).start_link)
+    return len(lane_links_of(town).start_link)
 
 
 def _links_of(town: Town) -> tuple[LaneLinks, ConflictZones]:
     """Return what is built once a town, and kept for as long as the town is."""
-    links = _lane_links_of(town)
+    links = lane_links_of(town)
     if id(town) not in _ZONES_OF_TOWNS:
         _ZONES_OF_TOWNS[id(town)] = conflict_zones_of(town)
         weakref.finalize(town, _ZONES_OF_TOWNS.pop, id(town), None)
     return links, _ZONES_OF_TOWNS[id(town)]
 
 
-def _lane_links_of(town: Town) -> LaneLinks:
+def lane_links_of(town: Town) -> LaneLinks:
     """Return the links of a town, built once.
 
     Whoever only asks how many vehicles fit needs no conflict zones, the first thing that calls a kernel.
