@@ -67,6 +67,7 @@ MANY = ", ".join(f'"{number}.xodr"' for number in range(17))
         ("{town03 = nan}", ['the share of "town03" is nan']),
         ("{town03 = true}", ['the share of "town03" is True']),
         ('{town03 = "2"}', ["the share of \"town03\" is '2'"]),
+        ("{town02 = 1, ring.xodr = 2}", ['has a table as the share of "ring": a path has to be in quotes']),
         ("{town3 = 1}", ['"town3" is no town', "did you mean town03?"]),
         ('"a\\u0000b.xodr"', ["printable"]),
         ('"a\\nb.xodr"', ["printable"]),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from athrl_driving.kernels.by_reference import by_reference
 from athrl_driving.kernels.compilation import compiled, entry, prepare
 from athrl_driving.maps.lane_graph import Integers, LaneGraph
+from athrl_driving.route.search import search_back
 from athrl_driving.route.state import LENGTH, START_POSITION, RouteState, new_routes
 from athrl_driving.route.tracking import (
     LANES_AHEAD,
@@ -62,6 +63,7 @@ class Route:
         prepare(_waypoints, routes, 0)
         prepare(_lanes_ahead, graph, routes, 0, np.empty(LANES_AHEAD, dtype=np.int64))
         prepare(poses_on_route, routes.segments[0], 0, np.empty(0))
+        prepare(search_back, graph, 0, 0)
 
     def _attach(self, graph: LaneGraph, routes: RouteState, environment: int) -> None:
         self.graph = graph

@@ -47,6 +47,9 @@ def read_towns(value: Any) -> dict[str, float]:
         raise ValueError(f"should be {EXPECTED}")
     if not 1 <= len(shares) <= MOST_TOWNS:
         raise ValueError(f"has {len(shares)} towns, should have 1 to {MOST_TOWNS}")
+    for name, share in shares.items():
+        if isinstance(share, Mapping):  # town.xodr = 2.0 is a table in TOML
+            raise ValueError(f"has a table as the share of {_quoted(name)}: a path has to be in quotes")
     towns = {_town(name): _share(name, share) for name, share in shares.items()}
     _require_each_map_once(list(towns))
     return towns

@@ -181,6 +181,17 @@ def test_watching_that_is_stopped_ends_in_the_middle_of_an_episode(tmp_path: Pat
     watch_policy("blind", environment=ENVIRONMENT, episodes=None, save=tmp_path / "seen.rrd", stop=stop)
 
 
+def test_a_film_of_a_failure_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def fails(*_: Any) -> None:
+        raise RuntimeError("no episode")
+
+    monkeypatch.setattr("athrl_evaluator.watching.watch_policy.drive_episodes", fails)
+    saved = tmp_path / "seen.rrd"
+    with pytest.raises(RuntimeError, match="no episode"):
+        watch_policy("blind", environment=ENVIRONMENT, episodes=1, save=saved, stop=threading.Event())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_frames_are_drawn_at_their_time_and_late_ones_immediately(monkeypatch: pytest.MonkeyPatch):
     now, drawn = [100.0], list[float]()
 

@@ -121,13 +121,17 @@ def watch_policy(
 
 @contextmanager
 def _saved(path: Path) -> Iterator[rr.RecordingStream]:
-    """A stream that is written into a rerun file."""
+    """A stream that is written into a rerun file, which is there when all of it is."""
+    part = path.with_name(f"{path.name}.part")
     with writing(path):
-        path.touch()
+        part.touch()
     stream = rr.RecordingStream(APPLICATION)
-    stream.save(path, default_blueprint=make_blueprint())
+    stream.save(part, default_blueprint=make_blueprint())
     try:
         yield stream
         stream.flush()
+        stream.disconnect()
+        part.replace(path)
     finally:
         stream.disconnect()
+        part.unlink(missing_ok=True)
