@@ -125,7 +125,11 @@ def require_same_environments(folder: Path, resumed: RunFile) -> None:
     began = read_run_file(folder / "run.toml", complete=True)
     for name in EnvironmentSection.model_fields:
         was, now = (getattr(settings.environment, name) for settings in (began, resumed))
-        if are_other_towns(began, resumed) if name == "towns" else was != now:
+        if name == "towns":  # a moved map is the same town
+            differs = are_other_towns(began, resumed) or list(was.values()) != list(now.values())
+        else:
+            differs = was != now
+        if differs:
             raise CommandError(
                 f"environment.{name} was {was}, is {now}: a serial run can only be resumed with the same "
                 "environments, in which it drives its open episodes again"

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from athrl_driving.maps.lane_graph import Floats
+from athrl_driving.maps.lane_graph import Floats, Integers
 
 
 class LaneShapes(NamedTuple):
@@ -24,17 +24,21 @@ class LaneShapes(NamedTuple):
 
 def centre_lines(shapes: LaneShapes, spacing: float) -> list[Floats]:
     """Return lines and arcs as points [n, 2] in metres, at most `spacing` metres apart."""
-    x, y, heading, curvature, length = shapes
     lines = []
-    for lane, metres in enumerate(length.tolist()):
-        straight = curvature[lane] == 0.0 or metres <= spacing
+    for lane, metres in enumerate(shapes.length.tolist()):
+        straight = shapes.curvature[lane] == 0.0 or metres <= spacing
         s = np.linspace(0.0, metres, 2 if straight else int(np.ceil(metres / spacing)) + 1)
-        half = 0.5 * curvature[lane] * s
-        # The chord of an arc: its length is s * sinc(half the turn), its direction half the turn.
-        chord, direction = s * np.sinc(half / np.pi), heading[lane] + half
-        points = (x[lane] + chord * np.cos(direction), y[lane] + chord * np.sin(direction))
-        lines.append(np.stack(points, axis=1))
+        lines.append(points_on(shapes, np.full(len(s), lane), s))
     return lines
+
+
+def points_on(shapes: LaneShapes, lanes: Integers, s: Floats) -> Floats:
+    """Return the points [n, 2] in metres at `s` metres [n] along lanes [n]."""
+    half = 0.5 * shapes.curvature[lanes] * s
+    # The chord of an arc: its length is s * sinc(half the turn), its direction half the turn.
+    chord, direction = s * np.sinc(half / np.pi), shapes.heading[lanes] + half
+    x, y = shapes.x[lanes] + chord * np.cos(direction), shapes.y[lanes] + chord * np.sin(direction)
+    return np.stack([x, y], axis=1)
 
 
 def outlines(lines: list[Floats], widths: Floats) -> list[Floats]:

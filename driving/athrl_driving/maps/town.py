@@ -118,11 +118,15 @@ class Town:
         told = told_names(zip(self.road_id, self.road_name, strict=True))
         return f"lane {self.lane_id[lane]} of {told[self.road_id[lane]]}"
 
+    @property
+    def lane_shapes(self) -> LaneShapes:
+        """The centre line of every lane of the graph."""
+        graph = self.graph
+        return LaneShapes(graph.start_x, graph.start_y, graph.start_heading, graph.curvature, graph.length)
+
     def lane_polylines(self, spacing: float = 2.0) -> list[NDArray[np.float64]]:
         """Return the centre line of every lane as points [n, 2] in metres, at most `spacing` metres apart."""
-        graph = self.graph
-        shapes = LaneShapes(graph.start_x, graph.start_y, graph.start_heading, graph.curvature, graph.length)
-        return centre_lines(shapes, spacing)
+        return centre_lines(self.lane_shapes, spacing)
 
 
 def load_town(name: str | os.PathLike[str], *, strict: bool = False) -> Town:

@@ -13,7 +13,7 @@ import rerun as rr
 from athrl_protocol.run_file import EnvironmentSection
 
 from athrl_evaluator.drawing import APPLICATION, SceneDrawing, make_blueprint
-from athrl_evaluator.errors import writing
+from athrl_evaluator.errors import EvaluatorError, writing
 from athrl_evaluator.evaluate import fitted, make_batch_driver
 from athrl_evaluator.recording.frames import frame_of_step
 from athrl_evaluator.scoring.drivers import BatchDriver
@@ -123,6 +123,8 @@ def watch_policy(
 def _saved(path: Path) -> Iterator[rr.RecordingStream]:
     """A stream that is written into a rerun file, which is there when all of it is."""
     part = path.with_name(f"{path.name}.part")
+    if path.is_dir():
+        raise EvaluatorError(f"cannot write {path}: is a folder, should be a file")
     with writing(path):
         part.touch()
     stream = rr.RecordingStream(APPLICATION)
@@ -131,7 +133,8 @@ def _saved(path: Path) -> Iterator[rr.RecordingStream]:
         yield stream
         stream.flush()
         stream.disconnect()
-        part.replace(path)
+        with writing(path):
+            part.replace(path)
     finally:
         stream.disconnect()
         part.unlink(missing_ok=True)
