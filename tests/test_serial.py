@@ -6,8 +6,11 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from athrl_driving.policy import EnvironmentRaised
+from athrl_evaluator import scorer
 from athrl_learner import CannotResume
 from athrl_learner.checkpoint import newest_intact_checkpoint
 from athrl_learner.log import numbered_segments
@@ -96,6 +99,27 @@ def test_another_seed_is_another_run_and_scores_do_not_touch_it(runs: Path) -> N
     whole = (runs / "whole" / "trace.txt").read_text()
     assert whole.startswith((runs / "unscored" / "trace.txt").read_text())
     assert (runs / "other" / "trace.txt").read_text().splitlines()[0] not in whole
+
+
+def test_score_that_fails_costs_that_score_and_does_not_touch_the_run(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive_episodes, calls = scorer.drive_episodes, []
+
+    def fail_once(*arguments: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 1:
+            raise EnvironmentRaised("step raised ZeroDivisionError: a lane without length", [0])
+        return drive_episodes(*arguments)
+
+    monkeypatch.setattr(scorer, "drive_episodes", fail_once)
+    assert drive(runs, "one-score-less")
+    whole, ours = runs / "whole", runs / "one-score-less"
+    later = (whole / "evaluations.jsonl").read_text().partition("\n")[2]
+    scores = (ours / "evaluations.jsonl").read_text()
+    assert scores and later.startswith(scores)
+    assert "was not scored: step raised" in (ours / "logs" / "serial.log").read_text()
+    assert (whole / "trace.txt").read_text().startswith((ours / "trace.txt").read_text())
 
 
 def test_two_halves_equal_the_whole_bit_for_bit(command, runs: Path) -> None:

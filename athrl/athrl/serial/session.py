@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import torch
+from athrl_driving.policy import EnvironmentFailure
 from athrl_evaluator.scorer import Scoring
 from athrl_evaluator.scoring.episodes import Stopped
 from athrl_evaluator.scoring.results import ResultsFolder
@@ -145,11 +146,19 @@ class SerialSession:
 
     def _observers(self) -> Observers:
         return Observers(
-            score=lambda: self._scoring.score_policy(self._actor.policy, recorded=False),
+            score=self._score,
             report=self._view.report,
             refresh=self._view.refresh,
             files=lambda: {name: size_of(path) for name, path in self._files.items()},
         )
+
+    def _score(self) -> None:
+        """Score the newest policy; a failure costs its score, and not the run, which does not depend on it."""
+        update = self._actor.policy
+        try:
+            self._scoring.score_policy(update, recorded=False)
+        except EnvironmentFailure as failure:
+            log.warning("policy %d was not scored: %s", update.version, failure)
 
     def _note_result(self, result: EvaluationResult) -> None:
         self._view.note_result(result)
