@@ -117,7 +117,8 @@ def test_score_that_fails_costs_that_score_and_does_not_touch_the_run(
     whole, ours = runs / "whole", runs / "one-score-less"
     later = (whole / "evaluations.jsonl").read_text().partition("\n")[2]
     scores = (ours / "evaluations.jsonl").read_text()
-    assert scores and later.startswith(scores)
+    assert scores
+    assert later.startswith(scores)
     assert "was not scored: step raised" in (ours / "logs" / "serial.log").read_text()
     assert (whole / "trace.txt").read_text().startswith((ours / "trace.txt").read_text())
 

@@ -220,10 +220,10 @@ def test_run_that_is_finished_is_named_with_what_makes_it_longer(forked) -> None
     folder.mkdir(parents=True)
     settings = forked.run("run-file", seconds=SECONDS).stdout
     (folder / "run.toml").write_text(settings)
-    (folder / "evaluation.json").write_text('{"environment_steps": 400001}')
+    (folder / "evaluation.json").write_text('{"environment_steps": 600001}')
     result = forked.run("train", "--resume", "done", seconds=SECONDS)
     assert (result.returncode, result.stdout, result.stderr.count("\n")) == (0, "", 1)
-    for part in ("runs/done is finished", "400001 of 400000", "--set run.environment_steps=800000"):
+    for part in ("runs/done is finished", "600001 of 600000", "--set run.environment_steps=1200000"):
         assert part in result.stderr
 
 

@@ -36,7 +36,8 @@ class _Learner:
     def __init__(self, address: str, run_file: RunFile, stack: ExitStack) -> None:
         self.came = 0
         session = stack.enter_context(open_session(listen=address, timeout=PATIENCE))
-        session.info.declare_transport_events_listener(self._hear)
+        # With history: the router may connect before the listener is declared.
+        session.info.declare_transport_events_listener(self._hear, history=True)
         self._session, self._run_file = session, run_file
         self._state = stack.enter_context(StatePublisher(session, RUN))
         self.answer()

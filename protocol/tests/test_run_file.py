@@ -74,7 +74,7 @@ def test_run_file_survives_json_and_toml() -> None:
 
 
 @pytest.mark.parametrize(
-    ("decisions", "asked_for", "warm_up"), [(400_000, 10_000, 10_000), (3000, 10_000, 1000), (2, 0, 0)]
+    ("decisions", "asked_for", "warm_up"), [(600_000, 10_000, 10_000), (3000, 10_000, 1000), (2, 0, 0)]
 )
 def test_warm_up_leaves_two_thirds_of_a_short_run_for_training(
     decisions: int, asked_for: int, warm_up: int

@@ -153,7 +153,7 @@ class SerialSession:
         )
 
     def _score(self) -> None:
-        """Score the newest policy; a failure costs its score, and not the run, which does not depend on it."""
+        """Score the newest policy; a failure costs that score, and not the run, which does not need it."""
         update = self._actor.policy
         try:
             self._scoring.score_policy(update, recorded=False)

@@ -51,7 +51,7 @@ class RunSection(Section):
         description="Root of the tree of seeds: run, service, environment, episode.",
     )
     environment_steps: int = Field(
-        default=400_000,
+        default=600_000,
         ge=1,
         le=MOST_STEPS,
         description="Decisions of all actors together after which the run ends.",
