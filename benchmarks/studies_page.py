@@ -19,10 +19,11 @@ from athrl.errors import CommandError
 from athrl.runs import declare_installed_planners
 from athrl.study.curves import picture
 from athrl.study.file import read_study_file
-from athrl.study.folder import StudyFolder
+from athrl.study.folder import StudyFolder, read_object
 from athrl.study.plan import planned_runs
 from athrl.study.table import markdown, tabulated
-from athrl_spaces.untrusted import parser_errors, read_json
+from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.wording import counted
 
 ROOT = Path(__file__).parents[1]
 PAGE = Path("docs/results.md")
@@ -59,7 +60,7 @@ def measured(root: Path, name: str) -> dict[str, Any] | None:
     if not path.exists():
         return None
     with parser_errors(lambda reason: CommandError(f"{path}: {reason}")):
-        found = dict(read_json(path))
+        found = read_object(path)
         if found["study"] != name:
             raise CommandError(f"{path}: study is {found['study']!r}, should be {name!r}")
         markdown(found)
@@ -90,13 +91,21 @@ def _section(root: Path, name: str) -> str:
 
 def _origin(found: Mapping[str, Any]) -> str:
     """How and where a study's figures were made, and what they cost."""
-    made, scoring = found["made"], found["scoring"]
-    hours = sum(run["seconds"] or 0.0 for run in found["runs"] if "failure" not in run) / 3600
-    pieces = sum("failure" not in run and run["seconds"] is None for run in found["runs"])
+    scoring = found["scoring"]
+    runs = [run for run in found["runs"] if "failure" not in run]
+    if not runs:
+        return f"`athrl study studies/{found['study']}.toml`; no run has finished."
+    made = [run["made"] for run in runs]
+    hours = sum(run["seconds"] or 0.0 for run in runs) / 3600
+    pieces = sum(run["seconds"] is None for run in runs)
     unknown = f", without {pieces} runs that were interrupted, whose time is not known" if pieces else ""
+    dates = sorted({each["date"] for each in made})
+    machines = dict.fromkeys(f"{counted(each['cores'], 'core')} of {each['processor']}" for each in made)
     return (
-        f"`athrl study studies/{found['study']}.toml`; commit {made['commit'] or 'unknown'}, {made['date']}; "
-        f"{made['cores']} cores, {made['processor']}; {hours:.1f} hours of training{unknown}. "
+        f"`athrl study studies/{found['study']}.toml`; "
+        f"commit {', '.join(dict.fromkeys(each['commit'] or 'unknown' for each in made))}; "
+        f"{' to '.join(dict.fromkeys((dates[0], dates[-1])))}; each run on {' or '.join(machines)}; "
+        f"{hours:.1f} hours of training{unknown}. "
         f"Scored on {scoring['episodes']} episodes from seed {scoring['first_seed']} on."
     )
 

@@ -11,6 +11,8 @@ import pytest
 
 from benchmarks import studies_page
 
+MADE = {"version": "1", "commit": "abc1234", "date": "2026-01-01", "cores": 1, "processor": "a processor"}
+LATER = {**MADE, "commit": "def5678", "date": "2026-01-03"}
 SCORE = {"mean": 3000.0, "low": 2900.0, "high": 3100.0, "values": [2900.0, 3100.0]}
 FOUND: dict[str, Any] = {
     "study": "paper",
@@ -26,10 +28,11 @@ FOUND: dict[str, Any] = {
     "over_towns": [],
     "drivers": [],
     "failures": {},
-    "runs": [{"run": "athrl-town03-1", "seconds": 3600.0}, {"run": "athrl-town03-2", "seconds": None}],
-    "made": {
-        "version": "1", "commit": "abc1234", "date": "2026-01-01", "cores": 2, "processor": "a processor",
-    },
+    "runs": [
+        {"run": "athrl-town03-1", "seconds": 3600.0, "made": MADE},
+        {"run": "athrl-town03-2", "seconds": None, "made": LATER},
+        {"run": "athrl-town03-3", "failure": "no such device"},
+    ],
 }  # fmt: skip
 
 
@@ -70,7 +73,8 @@ def test_measured_study_says_how_it_was_made_and_what_it_cost(
     assert studies_page.main([], copy) == 0
     text = (copy / studies_page.PAGE).read_text()
     assert "| athrl | town03 | 2 of 2 | 3000 [2900, 3100] | 149 | 3000 [2900, 3100] |" in text
-    assert "commit abc1234, 2026-01-01; 2 cores, a processor; 1.0 hours of training, without 1 runs" in text
+    assert "commit abc1234, def5678; 2026-01-01 to 2026-01-03; each run on 1 core of a processor; " in text
+    assert "1.0 hours of training, without 1 runs" in text
 
 
 @pytest.mark.parametrize(
@@ -78,7 +82,7 @@ def test_measured_study_says_how_it_was_made_and_what_it_cost(
     [
         ("{", "paper.json: "),
         (json.dumps({**FOUND, "study": "short"}), "study is 'short', should be 'paper'"),
-        (json.dumps({key: value for key, value in FOUND.items() if key != "made"}), "lacks 'made'"),
+        (json.dumps({**FOUND, "runs": [{"run": "athrl-town03-1", "seconds": 1.0}]}), "lacks 'made'"),
     ],
 )
 def test_damaged_results_are_refused_in_one_line(

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import importlib
 import os
-import platform
 import shlex
-import subprocess
 import threading
-import time
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from athrl_spaces.wording import counted
 
 from athrl import runs
 from athrl.errors import CommandError, needs, say
@@ -22,16 +19,19 @@ from athrl.options import given_folder
 from athrl.service_names import program
 from athrl.stopping import stop_on_signal
 from athrl.study.curves import picture
+from athrl.study.earlier import read_earlier, take_over
 from athrl.study.file import StudyFile, read_study_file
 from athrl.study.folder import StudyFolder
 from athrl.study.grid import GridRunner
+from athrl.study.identity import identity
+from athrl.study.origin import origin
 from athrl.study.places import require_places, require_room_at_home
 from athrl.study.plan import PlannedRun, planned_runs, require_search
 from athrl.study.runs import Stopped
 from athrl.study.search import Search, search_table
 from athrl.study.table import as_csv, markdown, tabulated
 from athrl.train.command import INTERRUPTED
-from athrl.train.plan import require_services, usable_cores
+from athrl.train.plan import require_services
 from athrl.train.session import STOP_SECONDS
 
 FAILED = 1
@@ -48,7 +48,17 @@ def study(
             help="Folder of the study; by default runs/study-NAME.",
         ),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Number of runs at once.")] = 1,
+    jobs: Annotated[
+        int, typer.Option(min=1, help="Number of runs at once, each on its share of the cores.")
+    ] = 1,
+    earlier: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="study.json of this study from another machine: its finished runs are not repeated.",
+        ),
+    ] = None,
     optimise: Annotated[
         bool, typer.Option("--optimise", help="Search over the settings of the file's table [search].")
     ] = False,
@@ -70,9 +80,15 @@ def study(
             raise CommandError(
                 f"--jobs {jobs}: with --optimise a worker has one run at once; start more workers instead"
             )
+        if earlier is not None:
+            raise CommandError(f"--from {earlier}: a search has its trials in search.db, copy the folder")
+    known = read_earlier(earlier, wanted, planned) if earlier is not None else {}
     folder = StudyFolder(out if out is not None else Path("runs") / f"study-{wanted.study.name}")
     with folder.locked(shared=optimise):
         folder.claim(wanted, planned)
+        if known:
+            count = take_over(known, folder, wanted, planned)
+            say(f"{earlier}: {counted(count, 'finished run')} taken over")
         with stop_on_signal(within=2 * STOP_SECONDS) as stop:
             try:
                 if optimise:
@@ -90,11 +106,10 @@ def _run_grid(
     wanted: StudyFile, planned: Sequence[PlannedRun], folder: StudyFolder, stop: threading.Event, jobs: int
 ) -> bool:
     """Bring all runs to their end, and write what they came to, also when stopped; return if one failed."""
-    began = time.strftime("%Y-%m-%d")
     try:
         GridRunner(wanted, folder, stop, say, jobs).run_all(planned)
     finally:
-        found = {**tabulated(wanted, planned, folder), "made": _made(began)}
+        found = {**tabulated(wanted, planned, folder), "begun": identity(wanted, planned)}
         _write(folder, found)
     print(markdown(found), end="")
     print(f"table: {folder.path / 'table.md'}")
@@ -103,12 +118,11 @@ def _run_grid(
 
 def _search(file: Path, wanted: StudyFile, folder: StudyFolder, stop: threading.Event) -> bool:
     """Work on the search, and write what it found, also when stopped; return if a trial failed."""
-    began = time.strftime("%Y-%m-%d")
     search = Search(file, wanted, folder, stop, say)
     try:
         search.run()
     finally:
-        found = {**search.found(), "made": _made(began)}
+        found = {**search.found(), "made": origin()}
         folder.write_json("search.json", found)
         folder.write("search.md", search_table(found))
     print(search_table(found), end="")
@@ -123,32 +137,6 @@ def _write(folder: StudyFolder, found: dict[str, Any]) -> None:
     content = picture(found)
     if content is not None:
         folder.write("curves.png", content)
-
-
-def _made(date: str) -> dict[str, Any]:
-    """Return with what and where the figures were made, as far as that is known."""
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short", "HEAD"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
-        commit = done.stdout.strip()
-    except (OSError, subprocess.TimeoutExpired):  # no git
-        commit = ""
-    return {
-        "version": version("athrl"),
-        "commit": commit,
-        "date": date,
-        "cores": usable_cores(),
-        "processor": _processor(),
-    }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())
 
 
 def _take_settings_from_the_file_alone() -> None:

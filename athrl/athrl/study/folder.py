@@ -16,6 +16,7 @@ from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError
 from athrl.study.file import StudyFile
+from athrl.study.identity import identity, joined
 from athrl.study.plan import PlannedRun
 
 _MOST_BYTES = 64 * 2**20
@@ -71,42 +72,18 @@ class StudyFolder:
     def claim(self, study: StudyFile, runs: Sequence[PlannedRun]) -> None:
         """Note what the study is, or check that the folder was begun with the same.
 
-        Rows, seeds and places may be added to a study and taken from it. What a run was begun with, the
-        scored episodes and the search must not change, else the table would compare different things.
-
         Raises:
             CommandError: the folder is another study's; names the first difference.
         """
-        fixed: dict[str, Any] = {
-            "study": study.study.name,
-            "scoring": study.scoring.model_dump(),
-            "search": study.search.model_dump(exclude={"trials"}) if study.search is not None else None,
-        }
-        recipes = {run.name: run.recipe for run in runs}
-        places = {place.name: place.model_dump() for place in study.elsewhere}
-        begun: dict[str, Any] = self._read(self._begun) if self._begun.exists() else {**fixed, "runs": {}}
-        begun_places = begun.get("elsewhere", {})
-        for key, wanted in fixed.items():
-            self._require_same(key, begun.get(key), json.loads(json.dumps(wanted)))
-        for name, recipe in recipes.items():
-            self._require_same(f"run {name}", begun["runs"].get(name, recipe), recipe)
-        for name, place in places.items():
-            self._require_same(f"elsewhere {name}", begun_places.get(name, place), place)
-        now = {**fixed, "runs": {**begun["runs"], **recipes}, "elsewhere": {**begun_places, **places}}
-        self.write_json(self._begun.name, now)
-
-    def _require_same(self, what: str, begun: Any, wanted: Any) -> None:
-        if begun != wanted:
-            what, begun, wanted = _first_difference(what, begun, wanted)
-            raise CommandError(
-                f"--out {self.path}: holds another study: {what} was begun as {begun}, should be {wanted}; "
-                "name another folder"
-            )
+        wanted = identity(study, runs)
+        begun = read_object(self._begun) if self._begun.exists() else wanted
+        with parser_errors(lambda reason: CommandError(f"{self._begun}: {reason}")):
+            self.write_json(self._begun.name, joined(f"--out {self.path}", begun, wanted))
 
     def result(self, run: str) -> dict[str, Any] | None:
         """Return what a run came to, finished or failed; None if it has not ended yet."""
         path = self._results / f"{run}.json"
-        return self._read(path) if path.exists() else None
+        return read_object(path) if path.exists() else None
 
     def note(self, run: str, result: Mapping[str, Any]) -> None:
         """Write down what a run came to."""
@@ -134,14 +111,6 @@ class StudyFolder:
                     part.unlink()
                 raise
 
-    @staticmethod
-    def _read(path: Path) -> dict[str, Any]:
-        with parser_errors(lambda reason: CommandError(f"{path}: {reason}"), UntrustedFile):
-            found = json.loads(read_untrusted(path, _MOST_BYTES))
-            if not isinstance(found, dict):
-                raise CommandError(f"{path}: should be one JSON object")
-            return found
-
     @contextmanager
     def _writing(self, path: Path) -> Iterator[None]:
         try:
@@ -151,14 +120,10 @@ class StudyFolder:
             raise CommandError(f"cannot write {path}: {cause}, --out should be a folder to write") from None
 
 
-def _first_difference(what: str, begun: Any, wanted: Any) -> tuple[str, Any, Any]:
-    """Return where two documents differ, and what is there in each; of lists what the other lacks."""
-    if isinstance(begun, dict) and isinstance(wanted, dict):
-        for key in [*begun, *wanted]:
-            if begun.get(key) != wanted.get(key):
-                return _first_difference(f"{what}, {key}", begun.get(key), wanted.get(key))
-    if isinstance(begun, list) and isinstance(wanted, list):
-        only = [each for each in begun if each not in wanted], [each for each in wanted if each not in begun]
-        if any(only):
-            return what, *only
-    return what, begun, wanted
+def read_object(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file of a study; raises CommandError if it cannot be read or is none."""
+    with parser_errors(lambda reason: CommandError(f"{path}: {reason}"), UntrustedFile):
+        found = json.loads(read_untrusted(path, _MOST_BYTES))
+        if not isinstance(found, dict):
+            raise CommandError(f"{path}: should be one JSON object")
+        return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
@@ -13,6 +14,7 @@ from athrl.ports import free_address
 from athrl.study import learning
 from athrl.study.file import ElsewhereSection, StudyFile
 from athrl.study.folder import StudyFolder
+from athrl.study.origin import origin
 from athrl.study.places import Place, elsewhere, home
 from athrl.study.plan import PlannedRun
 from athrl.study.runs import RunFailed, Stopped, train, train_words
@@ -55,7 +57,8 @@ class GridRunner:
         for section in self._study.elsewhere:
             for driver in self._study.study.drivers:
                 tasks.append(partial(self._score_driver_elsewhere, driver, runs[0], section))
-        with ThreadPoolExecutor(self._jobs) as pool:
+        shares = iter(shares_of_cores(sorted(os.sched_getaffinity(0)), self._jobs))
+        with ThreadPoolExecutor(self._jobs, initializer=lambda: _keep_to(next(shares))) as pool:
             futures = [pool.submit(task) for task in tasks]
             _, waiting = wait(futures, return_when=FIRST_EXCEPTION)
             if waiting:  # one has raised: nothing else is started, what is under way is drained
@@ -81,6 +84,7 @@ class GridRunner:
             "town": run.row.town,
             "variant": run.row.variant,
             "seed": run.seed,
+            "made": origin(),
         }
         try:
             result |= self._trained(run, look)
@@ -165,8 +169,22 @@ class GridRunner:
 
     def _evaluated(self, driver: str, run: PlannedRun, place: Place, name: str) -> dict[str, float]:
         words = place.words(driver, run.settings.environment)
-        threads = max(1, usable_cores() // self._jobs)
-        return evaluated(words, self._folder.log(f"{name}-scores"), self._stop, threads=threads)
+        log = self._folder.log(f"{name}-scores")
+        return evaluated(words, log, self._stop, threads=usable_cores())
+
+
+def shares_of_cores(cores: Sequence[int], jobs: int) -> list[set[int]]:
+    """Return the cores of each of so many jobs; if there are more jobs than cores, some share one."""
+    count = len(cores)
+    return [
+        set(cores[job * count // jobs : (job + 1) * count // jobs]) or {cores[job % count]}
+        for job in range(jobs)
+    ]
+
+
+def _keep_to(cores: set[int]) -> None:
+    """Keep this thread, and the processes that it will start, to these cores."""
+    os.sched_setaffinity(0, cores)
 
 
 def driver_name(driver: str, town: str) -> str:

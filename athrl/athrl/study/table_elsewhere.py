@@ -38,11 +38,16 @@ def _place(
     reference = rule_based["scores"]["return_mean"] if rule_based is not None else None
     rows = [_row(row, own, section.name, folder, reference) for row, own in by_row(runs)]
     failures = {f"{each['driver']} in {section.name}": each["failure"] for each in drivers if failed(each)}
-    for run in runs:
-        found = folder.result(name_elsewhere(run.name, section.name))
-        if found is not None and failed(found):
-            failures[f"{run.name} in {section.name}"] = found["failure"]
-    return {**section.model_dump(), "rows": rows, "drivers": drivers, "failures": failures}
+    names = [name_elsewhere(run.name, section.name) for run in runs]
+    scored = [found for name in names if (found := folder.result(name)) is not None]
+    failures |= {f"{each['run']} in {section.name}": each["failure"] for each in scored if failed(each)}
+    return {
+        **section.model_dump(),
+        "rows": rows,
+        "drivers": drivers,
+        "runs": scored,
+        "failures": failures,
+    }
 
 
 def _row(
