@@ -10,6 +10,7 @@ import sys
 import pytest
 from athrl.display import Display
 from athrl.errors import CommandError
+from athrl.evaluate.output import print_scores
 from athrl.output import _HANDLER, accept_any_text, console, start_log
 from athrl.run_view import RunSnapshot
 from athrl.train.comparison import comparison_tables
@@ -143,3 +144,11 @@ def test_tables_show_names_of_files_as_they_are(capsys: pytest.CaptureFixture[st
     console().print(table)
     shown = capsys.readouterr().out
     assert all(name in shown for name in ("[bold]x.xodr", "[/red].xodr", ":car:.xodr"))
+
+
+def test_score_that_only_one_case_study_has_is_shown_beside_a_gap(capsys: pytest.CaptureFixture[str]) -> None:
+    arrived = {"case_study": "roundabout", "success_rate": 1.0, "success_seconds": 41.5}
+    crashed = {"case_study": "unprotected-left", "success_rate": 0.0}
+    print_scores("town03", [crashed, arrived], as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert next(line.split() for line in lines if "success_seconds" in line)[-2:] == ["41.5", "│"]

@@ -26,8 +26,8 @@ def print_scores(policy: str, results: Sequence[dict[str, Any]], as_json: bool) 
     table.add_column(no_wrap=True)
     for _ in results:
         table.add_column(overflow="fold")  # a map's path has to stay whole
-    for name in results[0]:
-        values = [result[name] for result in results]
+    for name in dict.fromkeys(name for result in results for name in result):
+        values = [result.get(name, "") for result in results]
         table.add_row(name, *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in values))
     console().print(table)
 

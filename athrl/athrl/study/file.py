@@ -24,6 +24,7 @@ SCORES = (
     "off_lane_rate",
     "full_episode_rate",
     "success_rate",
+    "success_seconds",
     "driving_score",
 )
 """Scores of `athrl evaluate` that a study keeps."""

@@ -20,6 +20,8 @@ _COLUMNS = (
     ("off_lane_rate", "off lane", "{:.1%}"),
     ("success_rate", "success", "{:.1%}"),
 )
+_SECONDS = ("success_seconds", "seconds to success", "{:.1f}")
+"""Only of a case study: elsewhere a success lasts until the time is up."""
 
 
 def tabulated_elsewhere(
@@ -73,17 +75,18 @@ def markdown_elsewhere(places: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield the table of each place, line by line."""
     for place in places:
         yield from ["", f"### Elsewhere: {place['name']}", "", f"{_in_words(place)}", ""]
-        titles = ["planner", "trained in", "seeds", *(text for _, text, _ in _COLUMNS), "of rule-based"]
+        columns = (*_COLUMNS, _SECONDS) if place["case_study"] is not None else _COLUMNS
+        titles = ["planner", "trained in", "seeds", *(text for _, text, _ in columns), "of rule-based"]
         yield f"| {' | '.join(titles)} |"
         yield f"|---|---|{'---:|' * (len(titles) - 2)}"
         for row in place["rows"]:
-            cells = [cell(row["scores"].get(name), form) for name, _, form in _COLUMNS]
+            cells = [cell(row["scores"].get(name), form) for name, _, form in columns]
             seeds = f"{len(row['scored'])} of {len(row['seeds'])}"
             share = cell(row["of_rule_based"], "{:.2f}")
             yield f"| {' | '.join([title(row), row['town'], seeds, *cells, share])} |"
         for driver in place["drivers"]:
             scores = driver.get("scores", {})
-            cells = [cell(scores.get(name), form) for name, _, form in _COLUMNS]
+            cells = [cell(scores.get(name), form) for name, _, form in columns]
             yield f"| {' | '.join([driver['driver'], '', '', *cells, ''])} |"
 
 

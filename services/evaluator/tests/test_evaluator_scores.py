@@ -13,6 +13,7 @@ def episode(episode_return: float, **changes: object) -> EpisodeResult:
     values = {
         "distance": 100.0,
         "ticks": 500,
+        "seconds": 50.0,
         "speed": 2.0,
         "collision": False,
         "off_lane": False,
@@ -41,6 +42,13 @@ def test_rates_and_means_are_over_episodes():
     assert (scores.collision_rate, scores.off_lane_rate, scores.full_episode_rate) == (0.25, 0.25, 0.5)
     assert scores.success_rate == 0.75
     assert (scores.driving_score, scores.comfort, scores.red_lights) == pytest.approx((0.7, 0.9, 0.5))
+
+
+def test_seconds_to_success_are_those_of_the_successful_episodes():
+    arrived = [episode(0.0, seconds=40.0), episode(0.0, seconds=60.0)]
+    crashed = episode(0.0, seconds=2.0, success=False, collision=True)
+    assert score([*arrived, crashed]).success_seconds == pytest.approx(50.0)
+    assert "success_seconds" not in score([crashed, crashed]).as_dict()
 
 
 def test_the_mean_speed_weighs_every_tick_alike():

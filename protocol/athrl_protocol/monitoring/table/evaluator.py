@@ -51,6 +51,11 @@ SCORES = (
                 "Share that lasted until the time limit or the end of the map.",
             ),
             Metric("success_rate", "success_ratio", "Mean of an episode's success, see below."),
+            Metric(
+                "success_seconds",
+                "success_seconds",
+                "Mean duration of the successful episodes, s; absent if there is none.",
+            ),
             Metric("driving_score", "driving_score_ratio", "Mean of an episode's driving_score, 0 to 1."),
             Metric("comfort", "comfort_ratio", "Mean of an episode's comfort_all."),
             Metric(

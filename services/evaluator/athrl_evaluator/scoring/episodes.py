@@ -73,6 +73,7 @@ class _Running:
             episode_return=self.episode_return,
             distance=float(self.last_info["distance"]),
             ticks=self.ticks,
+            seconds=float(metrics["duration"]),
             speed=self.speed_ticks / max(1, self.ticks),
             collision=bool(self.last_info["collision"]),
             off_lane=bool(self.last_info["off_lane"]),

@@ -16,7 +16,8 @@ class EpisodeResult:
     seed: int
     episode_return: float
     distance: float  # m
-    ticks: int  # of 0.1 s
+    ticks: int
+    seconds: float
     speed: float  # m/s, mean over the ticks
     collision: bool
     off_lane: bool
@@ -30,7 +31,10 @@ class EpisodeResult:
 
 @dataclass(frozen=True)
 class Scores:
-    """The scores of a driver; `return_ci95` is half the width of the mean return's 95 % interval."""
+    """The scores of a driver; `return_ci95` is half the width of the mean return's 95 % interval.
+
+    `success_seconds` is the mean duration of the successful episodes; None if there is none.
+    """
 
     episodes: int
     return_mean: float
@@ -41,14 +45,15 @@ class Scores:
     off_lane_rate: float
     full_episode_rate: float
     success_rate: float
+    success_seconds: float | None
     driving_score: float
     comfort: float
     time_to_collision_kept: float
     red_lights: float
 
     def as_dict(self) -> dict[str, float]:
-        """The scores by name."""
-        return asdict(self)
+        """The scores by name, without one that is None."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def score(results: Sequence[EpisodeResult]) -> Scores:
@@ -58,6 +63,8 @@ def score(results: Sequence[EpisodeResult]) -> Scores:
     returns = np.array([result.episode_return for result in results])
     ticks = np.array([result.ticks for result in results])
     speeds = np.array([result.speed for result in results])
+    seconds = np.array([result.seconds for result in results])
+    success = np.array([result.success for result in results])
     return Scores(
         episodes=len(results),
         return_mean=float(returns.mean()),
@@ -67,7 +74,8 @@ def score(results: Sequence[EpisodeResult]) -> Scores:
         collision_rate=float(np.mean([result.collision for result in results])),
         off_lane_rate=float(np.mean([result.off_lane for result in results])),
         full_episode_rate=float(np.mean([result.full for result in results])),
-        success_rate=float(np.mean([result.success for result in results])),
+        success_rate=float(success.mean()),
+        success_seconds=float(seconds[success].mean()) if success.any() else None,
         driving_score=float(np.mean([result.driving_score for result in results])),
         comfort=float(np.mean([result.comfort for result in results])),
         time_to_collision_kept=float(np.mean([result.time_to_collision_kept for result in results])),
