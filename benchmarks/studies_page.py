@@ -44,10 +44,20 @@ A return is points an episode, of which a metre driven gives 10.
 How to repeat it: [run a study](how-to/run-a-study.md).
 """
 
+_CASE_STUDIES = """\
+## The case studies in pictures
+
+![Five moments of an episode in the roundabout, with oncoming traffic, and of an unprotected left turn](\
+pictures/case-studies.png)
+
+The shipped policy of town03 drives the green car. The line is its route, the orange point the waypoint of its
+trajectory planner. `python docs/pictures/make_case_studies.py` draws it.
+"""
+
 
 def page(root: Path) -> str:
     """Return what docs/results.md should hold; raises CommandError for a study's file that is damaged."""
-    return "\n".join([_HEAD, *(_section(root, name) for name in STUDIES)])
+    return "\n".join([_HEAD, *(_section(root, name) for name in STUDIES), _CASE_STUDIES])
 
 
 def measured(root: Path, name: str) -> dict[str, Any] | None:

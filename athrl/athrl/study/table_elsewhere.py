@@ -23,6 +23,9 @@ _COLUMNS = (
 _SECONDS = ("success_seconds", "seconds to success", "{:.1f}")
 """Only of a case study: elsewhere a success lasts until the time is up."""
 
+_SHARES = (("of_home", "of home"), ("of_rule_based", "of rule-based"))
+"""Of the return: the first not of a case study, whose episodes are of another length."""
+
 
 def tabulated_elsewhere(
     study: StudyFile, runs: Sequence[PlannedRun], folder: StudyFolder
@@ -55,39 +58,49 @@ def _place(
 def _row(
     row: Row, runs: Sequence[PlannedRun], place: str, folder: StudyFolder, rule_based: float | None
 ) -> dict[str, Any]:
-    """Return a row's means over the seeds that were scored, and their share of the rule-based return."""
+    """Return a row's means over the seeds that were scored, and their share of other returns."""
     found = {run.seed: folder.result(name_elsewhere(run.name, place)) for run in runs}
     scored = {seed: each for seed, each in found.items() if each is not None and not failed(each)}
     scores = estimates(scored.values(), "scores", SCORES)
-    share = None
-    if rule_based is not None and rule_based > 0 and "return_mean" in scores:
-        share = scores["return_mean"]["mean"] / rule_based
+    own = [folder.result(run.name) for run in runs if run.seed in scored]
+    at_home = [result for result in own if result is not None and not failed(result)]
+    home = estimates(at_home, "scores", ["return_mean"]).get("return_mean", {}).get("mean")
     return {
         **described(row),
         "seeds": [run.seed for run in runs],
         "scored": list(scored),
         "scores": scores,
-        "of_rule_based": share,
+        "of_home": _share(scores, home),
+        "of_rule_based": _share(scores, rule_based),
     }
+
+
+def _share(scores: Mapping[str, Any], of: float | None) -> float | None:
+    """Return the mean return as a share of another; None where one is missing or the other not positive."""
+    if of is None or of <= 0 or "return_mean" not in scores:
+        return None
+    return float(scores["return_mean"]["mean"] / of)
 
 
 def markdown_elsewhere(places: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield the table of each place, line by line."""
     for place in places:
+        is_town = place["case_study"] is None
+        columns = _COLUMNS if is_town else (*_COLUMNS, _SECONDS)
+        shares = _SHARES if is_town else _SHARES[1:]
         yield from ["", f"### Elsewhere: {place['name']}", "", f"{_in_words(place)}", ""]
-        columns = (*_COLUMNS, _SECONDS) if place["case_study"] is not None else _COLUMNS
-        titles = ["planner", "trained in", "seeds", *(text for _, text, _ in columns), "of rule-based"]
-        yield f"| {' | '.join(titles)} |"
-        yield f"|---|---|{'---:|' * (len(titles) - 2)}"
+        titles = [text for _, text, _ in columns] + [text for _, text in shares]
+        yield f"| {' | '.join(['planner', 'trained in', 'seeds', *titles])} |"
+        yield f"|---|---|---:|{'---:|' * len(titles)}"
         for row in place["rows"]:
             cells = [cell(row["scores"].get(name), form) for name, _, form in columns]
+            cells += [cell(row[name], "{:.2f}") for name, _ in shares]
             seeds = f"{len(row['scored'])} of {len(row['seeds'])}"
-            share = cell(row["of_rule_based"], "{:.2f}")
-            yield f"| {' | '.join([title(row), row['town'], seeds, *cells, share])} |"
+            yield f"| {' | '.join([title(row), row['town'], seeds, *cells])} |"
         for driver in place["drivers"]:
             scores = driver.get("scores", {})
             cells = [cell(scores.get(name), form) for name, _, form in columns]
-            yield f"| {' | '.join([driver['driver'], '', '', *cells, ''])} |"
+            yield f"| {' | '.join([driver['driver'], '', '', *cells, *('' for _ in shares)])} |"
 
 
 def _in_words(place: Mapping[str, Any]) -> str:
