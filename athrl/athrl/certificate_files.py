@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from pathlib import Path
 
 from athrl_protocol.errors import ProtocolError
 from athrl_protocol.security.certificates import read_certificate_file
 from athrl_spaces.untrusted import parser_errors
+from athrl_spaces.whole_files import write_whole
 from athrl_spaces.wording import system_reason
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
@@ -64,16 +63,8 @@ def pem(certificate: x509.Certificate) -> bytes:
 
 def write_file(path: Path, content: bytes, mode: int) -> None:
     """Write a file atomically; a key can only be read by its owner at any time."""
-    part = path.with_name(f"{path.name}.part")
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        part.unlink(missing_ok=True)
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            os.fsync(file.fileno())
-        part.replace(path)
+        write_whole(path, content, mode)
     except OSError as error:
-        with contextlib.suppress(OSError):  # the file may not exist
-            part.unlink(missing_ok=True)
         raise CommandError(f"cannot write {path}: {system_reason(error)}") from None

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from athrl_spaces.untrusted import UntrustedFile, parser_errors, read_untrusted
+from athrl_spaces.whole_files import write_whole
 from athrl_spaces.wording import system_reason
 
 from athrl.errors import CommandError
@@ -100,16 +99,9 @@ class StudyFolder:
     def write(self, name: str, content: str | bytes) -> None:
         """Write one of its files whole or not at all."""
         path = self.path / name
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
         with self._writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                part.write_bytes(content.encode() if isinstance(content, str) else content)
-                os.replace(part, path)
-            except OSError:
-                with contextlib.suppress(OSError):
-                    part.unlink()
-                raise
+            write_whole(path, content.encode() if isinstance(content, str) else content)
 
     @contextmanager
     def _writing(self, path: Path) -> Iterator[None]:

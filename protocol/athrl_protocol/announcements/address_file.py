@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from athrl_spaces.untrusted import UntrustedFile, read_untrusted
+from athrl_spaces.whole_files import write_whole
 from athrl_spaces.wording import system_reason
 
 from athrl_protocol.errors import ProtocolError
@@ -67,16 +68,9 @@ def address_announced(folder: Path, address: str) -> Iterator[None]:
         ProtocolError: the folder cannot be written.
     """
     path = folder / ADDRESS_FILE
-    part = path.with_name(f"{path.name}.part")
     try:
-        with part.open("w") as file:
-            file.write(f"{address}\n")
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+        write_whole(path, f"{address}\n".encode())
     except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink()
         raise ProtocolError(f"cannot write {path}: {system_reason(error)}") from None
     try:
         yield

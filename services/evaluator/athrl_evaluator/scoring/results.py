@@ -14,6 +14,7 @@ from typing import Any
 from athrl_protocol import EvaluationResult
 from athrl_protocol.announcements.comparison import COMPARISON_FILE
 from athrl_protocol.faults.bounded_log import RareLog
+from athrl_spaces.whole_files import write_whole
 from athrl_spaces.wording import system_reason
 
 from athrl_evaluator.errors import writing
@@ -74,13 +75,8 @@ class ResultsFolder:
             document["towns"] = {
                 town: {result.driver: scores_in(town, result.scores) for result in results} for town in towns
             }
-        part = self._closing.with_name(self._closing.name + ".part")
         with writing(self._closing):
-            try:
-                part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-                os.replace(part, self._closing)
-            finally:
-                part.unlink(missing_ok=True)
+            write_whole(self._closing, (json.dumps(document, indent=2) + "\n").encode())
 
 
 def scores_over_all(scores: Mapping[str, float]) -> dict[str, float]:
