@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from collections.abc import Callable
 
 import pytest
 import zenoh
 from athrl_protocol import (
-    EvaluationPublisher,
-    EvaluationResult,
-    EvaluationSubscriber,
-    Keys,
     LatestPublisher,
     LatestSubscriber,
-    LearnerNotFound,
-    Phase,
     PolicyPublisher,
     PolicySubscriber,
     PolicyUpdate,
-    RunFile,
-    RunNotFound,
-    RunState,
-    StatePublisher,
-    StateSubscriber,
-    fetch_run_file,
     new_incarnation,
-    read_run_file,
-    serve_run_file,
 )
 from athrl_protocol.announcements.typed import TypedSubscriber
 from athrl_protocol.messages import athrl_pb2
@@ -107,6 +92,26 @@ def test_value_whose_put_was_lost_comes_after_a_reminder_and_is_asked_for_once(
         publisher.publish(b"second")
         eventually(lambda: seen == [b"first", b"second"])
     assert len(asked) == 1
+
+
+def test_made_up_keys_take_no_memory_and_push_out_no_living_publisher(
+    listen: Open, connect: Open, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("athrl_protocol.announcements.latest_value.MOST_KEYS", 3)
+    learner, seen = listen(), []
+    with (
+        LatestSubscriber(connect(), f"{KEY}/*", seen.append) as subscriber,
+        LatestPublisher(learner, f"{KEY}/lives") as living,
+    ):
+        living.publish(b"lives")
+        for number in range(10):
+            with LatestPublisher(learner, f"{KEY}/{number}") as publisher:
+                publisher.publish(b"%d" % number)
+                eventually(lambda: seen[-1:] == [b"%d" % number])  # noqa: B023 (called at once)
+            eventually(lambda: f"{KEY}/{number}" in subscriber._without_publisher)  # noqa: B023
+        assert len(subscriber._versions) == 3
+        assert f"{KEY}/lives" in subscriber._versions
+        assert subscriber._without_publisher < subscriber._versions.keys()
 
 
 def test_reminder_of_what_is_known_or_older_asks_for_nothing(
@@ -223,165 +228,3 @@ def test_learner_that_returns_with_a_clock_set_back_is_heard(
             returned.publish(b"after")
             assert arrived.acquire(timeout=PATIENCE)
             assert subscriber.newest() == b"after"
-
-
-def test_policy_that_arrived_damaged_is_not_used(listen: Open, connect: Open, eventually: Eventually) -> None:
-    with (
-        LatestPublisher(listen(), Keys(RUN).policy) as publisher,
-        PolicySubscriber(connect(), RUN) as subscriber,
-    ):
-        right = hashlib.sha256(b"onnx").digest()
-        for message in (
-            athrl_pb2.Policy(version=1, artefact=b"onnx", sha256=right),
-            athrl_pb2.Policy(version=2, artefact=b"onno", sha256=right),
-            athrl_pb2.Policy(version=3, artefact=b"onnx", sha256=right, noise_scale=float("nan")),
-        ):
-            publisher.publish(encode_message(message))
-        publisher.publish(b"rubbish")
-        publisher.publish(encode_message(athrl_pb2.Policy(version=4, artefact=b"onnx", sha256=right)))
-        eventually(lambda: (subscriber.newest() or _policy(0)).version == 4)
-
-
-def test_damaged_newest_leaves_the_one_before(listen: Open, connect: Open) -> None:
-    seen: list[PolicyUpdate] = []
-    damaged = threading.Event()
-    with LatestPublisher(listen(), Keys(RUN).policy) as publisher:
-        session = connect()
-        with (
-            PolicySubscriber(session, RUN, seen.append) as subscriber,
-            LatestSubscriber(
-                session, Keys(RUN).policy, lambda value: damaged.set() if value == b"bad" else None
-            ),
-        ):
-            digest = hashlib.sha256(b"onnx").digest()
-            publisher.publish(encode_message(athrl_pb2.Policy(version=1, artefact=b"onnx", sha256=digest)))
-            assert subscriber.wait(PATIENCE) is not None
-            publisher.publish(b"bad")
-            assert damaged.wait(PATIENCE)
-            newest = subscriber.newest()
-            assert newest is not None
-            assert newest.version == 1
-    assert [policy.version for policy in seen] == [1]
-
-
-def test_large_policy_reaches_several_subscribers(listen: Open, connect: Open) -> None:
-    artefact = bytes(range(256)) * 2**14  # 4 MiB
-    with PolicyPublisher(listen(), RUN) as publisher:
-        subscribers = [PolicySubscriber(connect(), RUN) for _ in range(3)]
-        publisher.publish(_policy(1, artefact))
-        for subscriber in subscribers:
-            assert subscriber.wait(PATIENCE) == _policy(1, artefact)
-            subscriber.close()
-
-
-def test_state_of_the_run_arrives_with_its_phase(listen: Open, connect: Open) -> None:
-    state = RunState(Phase.TRAINING, 120, 40_000, 17, 3, "training waits for actors")
-    with StatePublisher(listen(), RUN) as publisher, StateSubscriber(connect(), RUN) as subscriber:
-        publisher.publish(state)
-        assert subscriber.wait(PATIENCE) == state
-
-
-def test_state_that_names_a_folder_with_strange_signs_arrives(listen: Open, connect: Open) -> None:
-    waiting = f"the disk of /runs/a\u00a0b{'/folder' * 500} is full"
-    with StatePublisher(listen(), RUN) as publisher, StateSubscriber(connect(), RUN) as subscriber:
-        publisher.publish(RunState(Phase.TRAINING, 120, 40_000, 17, 3, waiting))
-        state = subscriber.wait(PATIENCE)
-    assert state is not None
-    assert state.waiting == waiting.replace("\u00a0", " ")[:2_000]
-
-
-def test_latecomer_gets_the_newest_result_of_every_driver(
-    listen: Open, connect: Open, eventually: Eventually
-) -> None:
-    listen()
-    results = {
-        (driver, version): EvaluationResult(
-            driver, version, 100, "town03", 7, {"return_mean": float(version)}
-        )
-        for driver, version in (("policy", 1), ("policy", 2), ("random", 0), ("rule-based", 0))
-    }
-    seen: list[EvaluationResult] = []
-    with EvaluationPublisher(connect(), RUN) as publisher:
-        for result in results.values():
-            publisher.publish(result)
-        with EvaluationSubscriber(connect(), RUN, seen.append):
-            eventually(lambda: len(seen) == 3)
-    assert {(result.driver, result.policy_version) for result in seen} == {
-        ("policy", 2),
-        ("random", 0),
-        ("rule-based", 0),
-    }
-    assert all(result == results[result.driver, result.policy_version] for result in seen)
-
-
-def test_latecomer_gets_the_newest_result_of_every_town(
-    listen: Open, connect: Open, eventually: Eventually
-) -> None:
-    listen()
-    towns = ("town03", "town04", "maps/a b.xodr", "other/a b.xodr", "a_b.xodr", "ä" * 200 + ".xodr")
-    seen: list[EvaluationResult] = []
-    with EvaluationPublisher(connect(), RUN) as publisher:
-        for version in (1, 2):
-            for town in towns:
-                publisher.publish(EvaluationResult("policy", version, 100, town, 7, {"return_mean": 1.0}))
-        with EvaluationSubscriber(connect(), RUN, seen.append):
-            eventually(lambda: len(seen) == len(towns))
-    assert {(result.town, result.policy_version) for result in seen} == {(town, 2) for town in towns}
-
-
-def test_two_evaluators_do_not_silence_each_other(
-    listen: Open, connect: Open, eventually: Eventually
-) -> None:
-    listen()
-    seen: list[EvaluationResult] = []
-    with (
-        EvaluationSubscriber(connect(), RUN, seen.append),
-        EvaluationPublisher(connect(), RUN, "first") as first,
-        EvaluationPublisher(connect(), RUN, "second") as second,
-    ):
-        for version, publisher in enumerate((first, second, first, second, first)):
-            publisher.publish(EvaluationResult("policy", version, 0, "town03", 0, {}))
-            eventually(lambda version=version: len(seen) == version + 1)
-
-
-def test_actor_starts_with_an_address_and_a_run_name_only(listen: Open, connect: Open) -> None:
-    run_file = read_run_file(None, [f"run.name={RUN}", "learner.batch=5"])
-    with serve_run_file(listen(), run_file):
-        assert fetch_run_file(connect(), RUN, PATIENCE) == run_file
-
-
-def test_run_that_does_not_exist_is_answered_with_those_that_do(
-    listen: Open, connect: Open, address: str
-) -> None:
-    with serve_run_file(listen(), RunFile()), pytest.raises(RunNotFound) as caught:
-        fetch_run_file(connect(), "town05", 0.2)
-    assert str(caught.value) == f"no run 'town05' at {address}: name one of those it has, town03"
-
-
-def test_the_only_run_needs_no_name_and_several_do(listen: Open, connect: Open) -> None:
-    learner, session = listen(), connect()
-    other = read_run_file(None, ["run.name=other"])
-    with serve_run_file(learner, RunFile()):
-        assert fetch_run_file(session, None, PATIENCE) == RunFile()
-        with serve_run_file(learner, other), pytest.raises(RunNotFound, match="name one of other, town03"):
-            fetch_run_file(session, None, PATIENCE)
-
-
-def test_learner_that_serves_nothing_is_named_after_the_timeout(
-    listen: Open, connect: Open, address: str
-) -> None:
-    listen()
-    with pytest.raises(LearnerNotFound, match=f"no learner serves run 'town03' at {address} within 0.3 s"):
-        fetch_run_file(connect(), "town03", 0.3)
-
-
-def test_run_file_that_comes_late_is_waited_for(listen: Open, connect: Open) -> None:
-    learner = listen()
-    served: list[LatestPublisher] = []
-    timer = threading.Timer(0.3, lambda: served.append(serve_run_file(learner, RunFile())))
-    timer.start()
-    try:
-        assert fetch_run_file(connect(), "town03", PATIENCE) == RunFile()
-    finally:
-        timer.join()
-        served[0].close()

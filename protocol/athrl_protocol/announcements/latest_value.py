@@ -42,6 +42,9 @@ REMINDED_SECONDS = 1.0
 # New publishers that wait for their query. Further ones are not asked: whoever makes up thousands that do not
 # answer must not keep the session waiting, and what a publisher sends is taken in any case.
 MOST_WAITING = 1024
+# Keys whose newest version is known. Of a further one the version of another is forgotten, if possible of one
+# whose publisher has left: whoever makes up keys must not take the memory of a service.
+MOST_KEYS = 65_536
 IDLE_SECONDS = 5.0  # after which the thread looks whether its session was closed
 
 
@@ -237,10 +240,18 @@ class LatestSubscriber(Closeable):
         with self._lock:
             if self._closed.is_set() or not self._is_newer(key, version):
                 return
-            self._versions[key] = version
-            self._without_publisher.discard(key)
+            self._note_version(key, version)
             # Within the lock, so that two threads (put and reply) cannot deliver values in the wrong order.
             self._on_value(payload)
+
+    def _note_version(self, key: str, version: Version) -> None:
+        """Note the newest version of a key, whose publisher is there."""
+        if key not in self._versions and len(self._versions) >= MOST_KEYS:
+            forgotten = next(iter(self._without_publisher), next(iter(self._versions)))
+            del self._versions[forgotten]
+            self._without_publisher.discard(forgotten)
+        self._versions[key] = version
+        self._without_publisher.discard(key)
 
     def _request_missed(self, key: str, version: Version) -> None:
         """Query a value that was announced and did not arrive, unless it was queried just now."""
@@ -263,7 +274,8 @@ class LatestSubscriber(Closeable):
             key = str(event.key_expr)
             if event.kind != zenoh.SampleKind.PUT:
                 with self._lock:
-                    self._without_publisher.add(key)
+                    if key in self._versions:
+                        self._without_publisher.add(key)
                 return
             with contextlib.suppress(queue.Full):
                 self._new_publishers.put_nowait(key)

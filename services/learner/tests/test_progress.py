@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from athrl_learner.log.disk_space import DiskSpace
-from athrl_learner.reporting.progress import ProgressLog, with_silent_actors
+from athrl_learner.reporting.progress import MOST_DRIVERS, ProgressLog, with_silent_actors
 from athrl_protocol import EvaluationResult, Phase, RunState
 from athrl_protocol.announcements.recent_rate import RecentRate
 from athrl_protocol.faults.bounded_log import RareLog
@@ -44,6 +44,16 @@ def clock() -> Clock:
 def progress(clock: Clock, caplog: pytest.LogCaptureFixture) -> ProgressLog:
     caplog.set_level(logging.INFO)
     return ProgressLog(clock)
+
+
+def test_thousands_of_drivers_are_not_kept(progress: ProgressLog, caplog: pytest.LogCaptureFixture) -> None:
+    progress.add(RESULT)
+    for number in range(10 * MOST_DRIVERS):
+        progress.add(replace(REFERENCE, driver=f"made up {number}"))
+    progress.add(replace(RESULT, scores={**SCORES, "return_mean": 900.0}))
+    progress.tell_closing()
+    assert len(caplog.messages) == MOST_DRIVERS
+    assert "return 900 " in caplog.messages[0]
 
 
 def test_progress_is_one_line_a_minute(

@@ -16,6 +16,9 @@ log = logging.getLogger(__name__)
 #: Seconds between two lines of progress.
 INTERVAL = 60.0
 
+#: Drivers whose results are kept: their names come from other processes.
+MOST_DRIVERS = 50
+
 #: The scores of a driver in words: their names in a result, and the words.
 _RETURN = (("return_mean", "return_ci95"), "return {:.0f} ± {:.0f}")
 _SCORES = (
@@ -41,9 +44,10 @@ class ProgressLog:
         self._lock = threading.Lock()
 
     def add(self, result: EvaluationResult) -> None:
-        """Note a result; may be called from another thread."""
+        """Note a result, of a new driver only if there are not many; may be called from another thread."""
         with self._lock:
-            self._newest[result.driver] = result
+            if result.driver in self._newest or len(self._newest) < MOST_DRIVERS:
+                self._newest[result.driver] = result
 
     def report(self, state: RunState, metrics: Mapping[str, float]) -> None:
         """Log the progress if that is due, or when the first actor has come; called once a second.
