@@ -52,6 +52,6 @@ def test_changed_constants_of_towns_leave_the_kernels_alone(
 ) -> None:
     before = compilation.fingerprint(athrl_accelerate.__name__)
     changed = tmp_path / "action_kinds.py"
-    changed.write_bytes(compilation._CONSTANTS.read_bytes() + b"MAXIMUM_STEERING = 0.4")
-    monkeypatch.setattr(compilation, "_CONSTANTS", changed)
+    changed.write_bytes(b"MAXIMUM_STEERING = 0.4")
+    monkeypatch.setattr(compilation, "_CONSTANTS", [changed])
     assert compilation.fingerprint(athrl_accelerate.__name__) == before

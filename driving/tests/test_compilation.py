@@ -42,13 +42,15 @@ def test_changed_kernels_get_another_folder(tmp_path: Path, monkeypatch: pytest.
     assert folder() != before
 
 
-def test_changed_constants_of_actions_get_another_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("module", ["action_kinds", "observation", "reward_terms"])
+def test_changed_constants_get_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
 ) -> None:
     before = compilation.fingerprint("athrl_driving")
-    changed = tmp_path / "action_kinds.py"
-    changed.write_bytes(compilation._CONSTANTS.read_bytes() + b"MAXIMUM_STEERING = 0.4")
-    monkeypatch.setattr(compilation, "_CONSTANTS", changed)
+    files = {file.stem: file for file in compilation._CONSTANTS}
+    changed = tmp_path / files[module].name
+    changed.write_bytes(files[module].read_bytes() + b"MAXIMUM_STEERING = 0.4")
+    monkeypatch.setattr(compilation, "_CONSTANTS", list({**files, module: changed}.values()))
     assert compilation.fingerprint("athrl_driving") != before
 
 

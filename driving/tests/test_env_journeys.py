@@ -39,6 +39,18 @@ def test_an_episode_starts_and_ends_where_it_is_told() -> None:
     assert np.linalg.norm(env.vehicle.position - there) < 2.0
 
 
+def test_a_destination_behind_on_the_lane_beside_is_reached_there_and_not_beside_it() -> None:
+    start, destination = ("Circle Road East", -1, 70.0), ("Circle Road East", -2, 20.0)
+    config = {"start": start, "destination": destination, "vehicles_count": 0, "episode_ticks": 5000}
+    env = TownEnv(config=config)
+    _, _, info = drive_to_the_end(env, 1)
+    assert info["metrics"]["arrived"] == 1.0
+    lane, s = place_on_map(env.town, destination)
+    there = np.array(lane_pose(env.town.graph, lane, s)[:2])
+    assert np.linalg.norm(env.vehicle.position - there) < 2.0
+    assert info["metrics"]["distance"] > 200.0
+
+
 def test_half_the_way_is_half_the_route() -> None:
     settings = {"start": START, "destination": ("Meadow Road", -1, 195.0), "vehicles_count": 0}
     _, truncated, info = drive_to_the_end(TownEnv(config={**settings, "episode_ticks": 120}), 0)

@@ -221,6 +221,19 @@ def test_marks_are_followed_where_lanes_can_be_reached_otherwise(tmp_path: Path)
     assert (town.graph.start_x[beside] == 120.0).all()
 
 
+def test_marks_that_change_within_a_section_are_followed_from_there_on(tmp_path: Path) -> None:
+    marks = "".join(
+        element("roadMark", sOffset=s, type=kind)
+        for s, kind in ((0, "solid"), (60, "broken"), (140, "solid"))
+    )
+    lanes = "".join(lane(number, before=number, after=number) for number in (-1, -2))
+    section = element("laneSection", element("right", lanes.replace("<width", marks + "<width")), s=0)
+    town = town_from(tmp_path, loop_of_roads(section, marks="solid"))
+    beside = (town.graph.left >= 0) | (town.graph.right >= 0)
+    assert town.graph.length[beside].sum() == pytest.approx(2 * 80.0)
+    assert (town.graph.start_x[beside] == 60.0).all()
+
+
 def test_marks_are_ignored_where_lanes_could_not_be_reached_otherwise(tmp_path: Path) -> None:
     town = town_from(tmp_path, loop_of_roads("", marks="solid"))
     assert set(town.lane_id) == {-1, -2}

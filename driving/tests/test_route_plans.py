@@ -9,7 +9,7 @@ from athrl_driving.maps import TOWNS, lane_pose, lane_project, load_town
 from athrl_driving.maps.lane_graph import LaneGraph
 from athrl_driving.route import Route, dead_end_distance, new_routes, plan_length, shortest_route
 from athrl_driving.route import start_routes as start
-from athrl_driving.route.search import change_cost
+from athrl_driving.route.search import LEAST_ROOM, change_cost
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -19,15 +19,16 @@ NO_PLAN = np.empty(0, np.int64)
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def weighted(graph: LaneGraph) -> networkx.DiGraph:
-    """The same lanes and costs for networkx."""
+def weighted(graph: LaneGraph, origin: int) -> networkx.DiGraph:
+    """The same lanes and costs for networkx; from a short first lane no change is possible."""
     digraph = networkx.DiGraph()
     digraph.add_nodes_from(range(graph.length.size))
     for lane in range(graph.length.size):
         following = graph.successor[graph.successor_start[lane] : graph.successor_start[lane + 1]]
         steps = [(int(other), float(graph.length[lane])) for other in following]
-        change = float(change_cost.py_func(graph, lane))
-        steps += [(int(other), change) for other in (graph.left[lane], graph.right[lane]) if other >= 0]
+        change = float(change_cost.py_func(graph, lane, 0.0))
+        if lane != origin or graph.length[lane] >= LEAST_ROOM:
+            steps += [(int(other), change) for other in (graph.left[lane], graph.right[lane]) if other >= 0]
         # Of two steps to the same lane the costlier is added first, and replaced.
         for other, weight in sorted(steps, key=lambda step: -step[1]):
             digraph.add_edge(lane, other, weight=weight)
@@ -59,8 +60,8 @@ def random_graph(seed: int) -> LaneGraph:
 @given(SEEDS)
 def test_shortest_route_is_as_short_as_networkx_finds(seed: int) -> None:
     graph = random_graph(seed)
-    digraph = weighted(graph)
     origin, destination = np.random.default_rng(seed).integers(0, graph.length.size, 2).tolist()
+    digraph = weighted(graph, origin)
     if not networkx.has_path(digraph, origin, destination):
         with pytest.raises(ValueError, match=f"no way leads from lane {origin} to lane {destination}"):
             shortest_route(graph, origin, destination)
@@ -74,9 +75,9 @@ def test_shortest_route_is_as_short_as_networkx_finds(seed: int) -> None:
 @pytest.mark.parametrize("name", sorted(GRAPHS))
 def test_shortest_routes_in_towns_are_the_shortest(name: str) -> None:
     graph = GRAPHS[name]
-    digraph = weighted(graph)
     rng = np.random.default_rng(0)
     for origin in rng.integers(0, graph.length.size, 5).tolist():
+        digraph = weighted(graph, origin)
         best = networkx.single_source_dijkstra_path_length(digraph, origin)
         for destination in rng.integers(0, graph.length.size, 10).tolist():
             assert cost(digraph, shortest_route(graph, origin, destination)) == pytest.approx(
@@ -90,13 +91,42 @@ def test_route_around_leaves_the_lane_and_comes_back() -> None:
     around = shortest_route(graph, 5, 5, around=True)
     assert (around[0], around[-1]) == (5, 5)
     assert around.size > 2
-    digraph = weighted(graph)
+    digraph = weighted(graph, 5)
     loops = (
         digraph.edges[5, following]["weight"]
         + networkx.shortest_path_length(digraph, following, 5, weight="weight")
         for following in digraph.successors(5)
     )
     assert cost(digraph, around) == pytest.approx(min(loops))
+
+
+def test_destination_behind_on_the_lane_beside_is_reached_by_driving_around() -> None:
+    graph = GRAPHS["town03"]
+    lane = int(np.flatnonzero((graph.right >= 0) & (graph.length > 100.0))[0])
+    beside = int(graph.right[lane])
+    ahead = shortest_route(graph, lane, beside, start=40.0, goal=90.0)
+    assert ahead.tolist() == [lane, beside]
+    behind = shortest_route(graph, lane, beside, start=70.0, goal=20.0)
+    assert behind.size > 2
+    assert plan_length(graph, behind, 70.0, 20.0) > float(graph.length[lane])
+    # Not by a change to the lane beside and back either.
+    around = shortest_route(graph, lane, lane, start=70.0, goal=20.0, around=True)
+    assert plan_length(graph, around, 70.0, 20.0) > float(graph.length[lane])
+
+
+def test_no_lane_is_changed_where_too_little_of_the_first_is_left() -> None:
+    graph = GRAPHS["town03"]
+    for lane in np.flatnonzero((graph.right >= 0) & (graph.length > 40.0))[:20].tolist():
+        start = float(graph.length[lane]) - 10.0
+        for destination in range(0, graph.length.size, 60):
+            try:
+                plan = shortest_route(graph, lane, destination, start=start, goal=1.0)
+            except ValueError:
+                continue
+            if plan.size > 1:
+                assert plan[1] not in (graph.left[lane], graph.right[lane])
+                route = Route.planned(graph, plan, start, 1.0)
+                assert route.routes.plan_count[0] > 0 or np.isfinite(route.arrival)  # it is not given up
 
 
 def test_lanes_that_do_not_exist_are_refused() -> None:

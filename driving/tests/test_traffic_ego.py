@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from athrl_driving.envs import TownEnv
 from athrl_driving.maps import Town, lane_pose, load_town
 from athrl_driving.traffic import TrafficRoad
 from athrl_driving.traffic.collision import first_touched
@@ -133,3 +134,18 @@ def test_a_lane_change_does_not_lengthen_the_egos_path_to_a_junction(town: Town)
         road.ego_path = np.array([lane, origin, first] if lane != origin else [origin, first])
         road.leader_of_ego()
         assert road.ego_stop_line() == pytest.approx(15.0 - 0.5 * Vehicle.LENGTH, abs=0.2)
+
+
+def test_asking_for_the_leader_does_not_change_the_traffic() -> None:
+    curious, other = (TownEnv(config={"town": "town04"}) for _ in range(2))
+    action = np.array([0.5, 0.0], np.float32)
+    for env in (curious, other):
+        env.reset(seed=3)
+    for _ in range(60):
+        curious.road.leader_of_ego()
+        results = [env.step(action) for env in (curious, other)]
+        for name in ("lane", "s", "speed", "x", "y"):
+            one, two = (getattr(env.road.background, name) for env in (curious, other))
+            np.testing.assert_array_equal(one, two, err_msg=name)
+        if results[0][2] or results[0][3]:
+            break

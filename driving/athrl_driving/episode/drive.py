@@ -22,7 +22,7 @@ from athrl_driving.metrics import environment_metrics
 from athrl_driving.perception import draw_surroundings
 from athrl_driving.route import environment_route
 from athrl_driving.traffic.state import environment_traffic
-from athrl_driving.traffic.tick import advance
+from athrl_driving.traffic.tick import find_leader
 
 
 @entry
@@ -54,7 +54,7 @@ def drive(state: EpisodeState, orders: WorkOrders, first: int, last: int) -> Non
             buffer, decisions = state.observations.recording_buffer, progress.decisions[e]
             record(buffer, env_index, decisions, motion, reward, terms)
         if work & FIND_LEADER:
-            advance(views.traffic, progress.ego[e], progress.path[e], 0.0)
+            find_leader(views.traffic, progress.ego[e], progress.path[e])
 
 
 @part

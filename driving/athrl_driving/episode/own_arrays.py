@@ -19,7 +19,7 @@ _NOT_OWN = frozenset(
         "settings",
         "perception",
         *(f"traffic.{part}" for part in ("graph", "movements", "signals", "lane_links", "conflict_zones")),
-        "routes.dead_end_distance",
+        "routes.lanes_reach",
         "observations.recording_buffer.seen",  # the same memory as `observations.images`
     }
 )

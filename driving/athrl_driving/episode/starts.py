@@ -95,7 +95,8 @@ class Journeys:
     def _journey_to(self, lane: int, s: float, destination: Place) -> Journey:
         goal, goal_s = destination
         try:
-            plan = shortest_route(self._town.graph, lane, goal, around=goal == lane and goal_s <= s)
+            around = goal == lane and goal_s <= s
+            plan = shortest_route(self._town.graph, lane, goal, start=s, goal=goal_s, around=around)
         except DrivingError:
             start, end = self._town.lane_called(lane), self._town.lane_called(goal)
             raise DrivingError(f"on the map {self._town.name} no way leads from {start} to {end}") from None

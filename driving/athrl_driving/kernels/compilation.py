@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from athrl_spaces import action_kinds
+from athrl_spaces import action_kinds, observation, reward_terms
 from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 
 from athrl_driving.kernels.index_checks import CHECKS_INDICES, compiler_options
@@ -49,8 +49,8 @@ _NO_REFERENCE_COUNTING = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nr
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _OWN_PACKAGE = "athrl_driving"
-_CONSTANTS = Path(action_kinds.__file__).resolve()
-"""File whose constants are compiled into the towns' kernels."""
+_CONSTANTS = [Path(str(module.__file__)).resolve() for module in (action_kinds, observation, reward_terms)]
+"""Files whose constants are compiled into the towns' kernels."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -208,7 +208,7 @@ def fingerprint(package: str = _OWN_PACKAGE) -> str:
     if package == _OWN_PACKAGE:
         for pattern in _TOWN_KERNELS:
             _add_files(digest, _PACKAGE.glob(pattern))
-        _add_files(digest, [_CONSTANTS])
+        _add_files(digest, _CONSTANTS)
     else:
         _add_files(digest, _package_folder(package).rglob("*.py"))
     return digest.hexdigest()[:16]

@@ -132,14 +132,20 @@ def _rank(movement: Movement) -> tuple[float, int, float, str]:
     return movement.origin.limit, len(carriageway.lanes), -abs(turned(movement)), carriageway.road.id
 
 
+def _lane_count(movement: Movement) -> int:
+    """Return the number of lanes at the stop line of the road that a movement comes from."""
+    return len(movement.origin.carriageway.lanes)
+
+
 def priorities(
     movements: list[Movement], turns: NDArray[np.int64], yields: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
     """Return the order of the movements [M]: lower numbers first.
 
     On the main road 0 straight on and to the side of the traffic, 1 across the oncoming traffic; 2 and 3 the
-    same from a minor road; 4 movements that yield. A road is minor where it is slower or narrower than
-    another of its junction, or meets a road that goes straight through a junction of three arms.
+    same from a minor road; 4 movements that yield. A road is minor where it is slower than another of its
+    junction, or narrower than another that is not slower, or meets a road that goes straight through a
+    junction of three arms.
     """
     by_junction: dict[str, list[int]] = defaultdict(list)
     for place, movement in enumerate(movements):
@@ -148,7 +154,7 @@ def priorities(
     minor = np.zeros(len(movements), dtype=np.bool_)
     for places in by_junction.values():
         main_speed = max(movements[place].origin.limit for place in places)
-        main_lanes = max(len(movements[place].origin.carriageway.lanes) for place in places)
+        widths = [(movements[place].origin.limit, _lane_count(movements[place])) for place in places]
         origins = {movements[place].origin.carriageway.road for place in places}
         through_roads = {
             movements[place].origin.carriageway.road for place in places if turns[place] == TURN_STRAIGHT
@@ -156,8 +162,9 @@ def priorities(
         through = len(through_roads) >= 2 and len(origins) == 3
         for place in places:
             origin = movements[place].origin
+            main_lanes = max(lanes for limit, lanes in widths if limit >= _SLOWER * origin.limit)
             minor[place] |= origin.limit < _SLOWER * main_speed
-            minor[place] |= origin.limit <= main_speed and len(origin.carriageway.lanes) < main_lanes
+            minor[place] |= _lane_count(movements[place]) < main_lanes
             minor[place] |= through and origin.carriageway.road not in through_roads
     across = np.array(
         [

@@ -15,7 +15,7 @@ from athrl_driving.maps.lane_graph import Signals
 from athrl_driving.maps.levels import ROAD_LEVEL_HEIGHT
 from athrl_driving.perception.window import Window, column_of, in_frame, row_of
 from athrl_driving.route.state import CURVATURE, LENGTH, START_POSITION, RouteState
-from athrl_driving.route.tracking import segment_pose
+from athrl_driving.route.tracking import KEPT_BEHIND, KNOWN_AT_LEAST, segment_pose
 from athrl_driving.traffic.state import Traffic
 
 LINE_REACH = 1.5
@@ -36,19 +36,33 @@ def draw_route(
     elevations, grades = traffic.graph.elevation, traffic.graph.grade
     segments, lanes, lane_starts = route.segments, route.lane, route.lane_start
     behind = 2.0 * window.aside - window.ahead
-    # The part of the route that can be inside the window, even on a bend.
-    first = route.position[0] - 1.25 * math.hypot(behind, window.aside)
-    last = route.position[0] + 1.5 * math.hypot(window.ahead, window.aside)
+    # The part of the route that can be inside the window, even on a bend, as far as it is always known.
+    first = route.position[0] - min(1.25 * math.hypot(behind, window.aside), KEPT_BEHIND)
+    last = route.position[0] + min(1.5 * math.hypot(window.ahead, window.aside), KNOWN_AT_LEAST)
     stop = _stop_position(traffic, route)
     for index in range(route.segment_count[0]):
-        begin = segments[index, START_POSITION]
-        end = min(begin + segments[index, LENGTH], last)
-        height = elevations[lanes[index]] + grades[lanes[index]] * lane_starts[index]
-        if end <= first or abs(height - elevation) > ROAD_LEVEL_HEIGHT:
-            continue
-        if begin >= last:
+        start = segments[index, START_POSITION]
+        if start >= last:
             break
-        _draw_segment(image, window, segments, index, max(begin, first), end, stop)
+        grade = grades[lanes[index]]
+        above = elevations[lanes[index]] + grade * lane_starts[index] - elevation
+        low, high = _on_the_level(above, grade)
+        begin = max(start + low, start, first)
+        end = min(start + high, start + segments[index, LENGTH], last)
+        if begin < end:
+            _draw_segment(image, window, segments, index, begin, end, stop)
+
+
+@inlined
+def _on_the_level(above: float, grade: float) -> tuple[float, float]:
+    """Return from and up to which m along a slope it is about as high as the ego, infinite where it is level.
+
+    It starts `above` m above the ego. Where it is nowhere as high, the end is before the start.
+    """
+    if grade == 0.0:
+        return (-math.inf, math.inf) if abs(above) <= ROAD_LEVEL_HEIGHT else (math.inf, -math.inf)
+    low, high = (-ROAD_LEVEL_HEIGHT - above) / grade, (ROAD_LEVEL_HEIGHT - above) / grade
+    return min(low, high), max(low, high)
 
 
 @inlined

@@ -31,14 +31,14 @@ WAYPOINT_SPACING = 5.0
 WAYPOINTS_KNOWN = 12
 """Waypoints ahead that the ego knows."""
 
-KEPT_BEHIND = 20.0
-"""Metres of route behind the ego that are kept, enough for the window of the observation."""
+KEPT_BEHIND = 30.0
+"""Metres of route behind the ego that are always known: what the default window can show of it on a bend."""
 
 LANES_AHEAD = 24
 """Lanes ahead that the traffic gets to know."""
 
 KNOWN_AT_LEAST = 80.0
-"""Metres ahead below which the route is extended."""
+"""Metres of route ahead of the ego that are always known: with less it is extended."""
 
 _BEFORE_FIRST_CHANGE = 5.0
 

@@ -63,7 +63,7 @@ class Route:
         prepare(_waypoints, routes, 0)
         prepare(_lanes_ahead, graph, routes, 0, np.empty(LANES_AHEAD, dtype=np.int64))
         prepare(poses_on_route, routes.segments[0], 0, np.empty(0))
-        prepare(search_back, graph, 0, 0)
+        prepare(search_back, graph, 0, 0, 0.0, 0.0)
 
     def _attach(self, graph: LaneGraph, routes: RouteState, environment: int) -> None:
         self.graph = graph

@@ -1,7 +1,8 @@
 """What a lane change gains, and whether it is safe: MOBIL's rule over links, compiled.
 
-A gap is safe where the vehicle behind has to brake with `SAFE_BRAKING` at most. A change that gains its
-vehicle something may cost the vehicle behind a part of that.
+A gap is safe where the vehicle behind has to brake with `SAFE_BRAKING` at most. What a change gains is the
+own gain of acceleration, and a part of that of the new and of the old vehicle behind (Kesting, Treiber,
+Helbing 2007, equation 3).
 """
 
 import math
@@ -13,7 +14,7 @@ from athrl_driving.traffic.lane_links import CURVE_BRAKING
 from athrl_driving.traffic.link_queues import vehicle_of
 
 POLITENESS = 0.3
-"""Weight of the loss of the vehicle behind relative to the own gain."""
+"""Weight of what the vehicles behind gain, or lose, relative to the own gain."""
 
 SAFE_BRAKING = 2.5
 """m/s2 with which a change may make the vehicle behind brake."""
@@ -25,6 +26,8 @@ _LEAST_GAP = 2.0
 _GAP_TIME = 0.3
 _GAP_MARGIN = 1.5
 _ROOM_AT_THE_LINE = 0.6
+_REACTION_TIME = 0.1
+"""Seconds until the vehicle behind brakes."""
 
 
 @part
@@ -53,8 +56,8 @@ def gain_of_change(
     gain = _own_gain(traffic, vehicle, lane, gap, leader_speed)
     if follower != NONE:
         whole_gap = follower_gap + length + gap
-        gain += POLITENESS * _gain_behind(traffic, follower, follower_gap, speed, whole_gap, leader_speed)
-    return gain
+        gain += POLITENESS * _gain_behind(traffic, follower, whole_gap, leader_speed, follower_gap, speed)
+    return gain + POLITENESS * _gain_of_old_follower(traffic, vehicle, speed, length)
 
 
 @part
@@ -127,13 +130,33 @@ def _own_gain(traffic: Traffic, vehicle: int, lane: int, gap: float, leader_spee
 
 
 @part
+def _gain_of_old_follower(traffic: Traffic, vehicle: int, speed: float, length: float) -> float:
+    """Return how much more (m/s2) the vehicle behind could accelerate if `vehicle` were gone."""
+    scratch = traffic.scratch
+    link, position = scratch.link[vehicle], scratch.position[vehicle]
+    behind = scratch.preceding[vehicle]
+    while behind != NONE and _is_request(traffic, behind):
+        behind = scratch.preceding[behind]
+    follower, gap = _gap_behind(traffic, behind, link, position, length)
+    if follower == NONE:
+        return 0.0
+    whole_gap = gap + length + scratch.gap[vehicle]
+    return _gain_behind(traffic, follower, gap, speed, whole_gap, scratch.leader_speed[vehicle])
+
+
+@part
 def _gain_behind(
-    traffic: Traffic, follower: int, gap: float, speed: float, whole_gap: float, leader_speed: float
+    traffic: Traffic,
+    follower: int,
+    gap: float,
+    leader_speed: float,
+    gap_after: float,
+    leader_speed_after: float,
 ) -> float:
-    """Return how much more (m/s2) a follower could accelerate with a vehicle `gap` m ahead at `speed`."""
+    """Return how much more (m/s2) a follower could accelerate with another gap (m) to another leader."""
     own, target = traffic.background.speed[follower], traffic.background.desired_speed[follower]
-    before = idm_acceleration(own, target, whole_gap + REFERENCE_LENGTH, leader_speed)
-    after = idm_acceleration(own, target, gap + REFERENCE_LENGTH, speed)
+    before = idm_acceleration(own, target, gap + REFERENCE_LENGTH, leader_speed)
+    after = idm_acceleration(own, target, gap_after + REFERENCE_LENGTH, leader_speed_after)
     return after - before
 
 
@@ -151,7 +174,7 @@ def _is_safe(gap: float, speed: float, leader_speed: float) -> bool:
         return True
     if gap < _LEAST_GAP + _GAP_TIME * speed:
         return False
-    return speed <= approach_speed(gap - _GAP_MARGIN, max(leader_speed, 0.0), SAFE_BRAKING, 0.1)
+    return speed <= approach_speed(gap - _GAP_MARGIN, max(leader_speed, 0.0), SAFE_BRAKING, _REACTION_TIME)
 
 
 @part

@@ -38,8 +38,12 @@ _LEAST_GAP = 1.0
 
 @entry
 def tick(traffic: Traffic, e: int, ego: Floats, ego_path: Integers, dt: float) -> None:
-    """Advance environment `e`, for calls from Python; see `advance`."""
-    advance(by_reference(environment_traffic(by_reference(traffic), e)), ego, ego_path, dt)
+    """Advance environment `e`, or with 0 s let its ego find its leader; for calls from Python."""
+    own = by_reference(environment_traffic(by_reference(traffic), e))
+    if dt > 0.0:
+        advance(own, ego, ego_path, dt)
+    else:
+        find_leader(own, ego, ego_path)
 
 
 @part
@@ -50,18 +54,9 @@ def advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> Non
     it is compiled once for all kernels. `ego` is float64 [8] (see `ego_columns`). `ego_path` holds lanes of
     the lane graph that the ego will drive, its present one among the first, padded with -1.
     """
-    background, changes, covered = traffic.background, traffic.lane_changes, traffic.ego_on_links
+    background, changes = traffic.background, traffic.lane_changes
     vehicles = background.lane.shape[0]
-    present = ego[PRESENT] > 0.0
-    fill_link_queues(traffic.graph, traffic.lane_links, background, changes, traffic.scratch)
-    uncover_links(covered)
-    covered.path_link[0] = NONE
-    if present:
-        cover_links(traffic.graph, traffic.lane_links, covered, ego)
-        follow_path(traffic.graph, traffic.lane_links, covered, ego, ego_path)
-        note_crossing(traffic.right_of_way, covered, vehicles, ego[LENGTH])
-    else:
-        traffic.right_of_way.crossing[vehicles] = NONE
+    _note_places(traffic, ego, ego_path)
     if dt > 0.0:
         if traffic.lane_links.entries.shape[0] > 0:
             cross_edge(traffic, ego)
@@ -82,6 +77,31 @@ def advance(traffic: Traffic, ego: Floats, ego_path: Integers, dt: float) -> Non
     _accelerate(traffic, dt)
     _move(traffic, dt)
     traffic.scratch.clock[0] += dt
+
+
+@part
+def find_leader(traffic: Traffic, ego: Floats, ego_path: Integers) -> None:
+    """Find the ego's leader and line where all vehicles are now; arguments as of `advance`.
+
+    What the others saw in the last tick stays: they decide by it in the next one.
+    """
+    _note_places(traffic, ego, ego_path)
+    look_ahead(traffic, traffic.background.lane.shape[0], ego[LENGTH], ego[SPEED])
+
+
+@part
+def _note_places(traffic: Traffic, ego: Floats, ego_path: Integers) -> None:
+    """Enter all vehicles on their links, and note the links that the ego covers and will drive."""
+    background, covered = traffic.background, traffic.ego_on_links
+    fill_link_queues(traffic.graph, traffic.lane_links, background, traffic.lane_changes, traffic.scratch)
+    uncover_links(covered)
+    covered.path_link[0] = NONE
+    if ego[PRESENT] > 0.0:
+        cover_links(traffic.graph, traffic.lane_links, covered, ego)
+        follow_path(traffic.graph, traffic.lane_links, covered, ego, ego_path)
+        note_crossing(traffic.right_of_way, covered, background.lane.shape[0], ego[LENGTH])
+    else:
+        traffic.right_of_way.crossing[background.lane.shape[0]] = NONE
 
 
 @part

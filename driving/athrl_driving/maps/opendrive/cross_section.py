@@ -1,6 +1,7 @@
 """Where a section's lanes lie beside the reference line, and how wide they are."""
 
 import itertools
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from athrl_driving.maps.opendrive.model import (
     Cubic,
     Geometry,
     Lane,
+    LaneMark,
     LaneSection,
     OpenDrive,
     Road,
@@ -30,6 +32,8 @@ Floats = NDArray[np.float64]
 
 NARROWEST = 2.2
 """Metres: where a lane opens or closes, what is narrower than this is no lane to drive on."""
+
+_NO_MARK = LaneMark(-math.inf, increase=True, decrease=True)
 
 _LEAST = 0.5
 """Metres: what is nowhere wider than this is no lane, whatever it is called."""
@@ -95,6 +99,7 @@ def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[fl
             if lane.drives:
                 cuts.update(record.s for record in records)
                 cuts.update(limit.s for limit in lane.speeds)
+                cuts.update(_changes_of_permission(lane))
                 cuts.update(_narrow_ends(lane, section))
     # What is as good as a section's end is that end, where the next section begins: there they are linked.
     inside = sorted(s for s in cuts if section.s < s < section.end - SAME_PLACE)
@@ -103,6 +108,15 @@ def breakpoints(content: OpenDrive, road: Road, section: LaneSection) -> list[fl
         if s - distinct[-1] > SAME_PLACE:
             distinct.append(s)
     return [*distinct, section.end] if section.end - section.s > SAME_PLACE else distinct
+
+
+def _changes_of_permission(lane: Lane) -> list[float]:
+    """Return where a lane's marks begin to allow, or to forbid, what was not so before; at first all is."""
+    return [
+        mark.s
+        for before, mark in itertools.pairwise([_NO_MARK, *lane.marks])
+        if (mark.increase, mark.decrease) != (before.increase, before.decrease)
+    ]
 
 
 def _starts_within(records: Sequence[Geometry | Cubic | SpeedLimit], section: LaneSection) -> list[float]:
@@ -121,8 +135,9 @@ def speed_limit_at(road: Road, lane: Lane, s: float, default: float) -> float:
     """Return the posted limit (m/s): the lane's, else the road's, else `default`."""
     for records in (lane.speeds, road.speeds):
         place = bisect_right(records, s + 1e-6, key=lambda record: record.s)
-        if place:
-            return records[place - 1].limit or default
+        limit = records[place - 1].limit if place else None
+        if limit is not None:
+            return limit
     return default
 
 

@@ -12,6 +12,9 @@ from athrl_driving.maps.opendrive.model import Cubic, MapError, SpeedLimit
 LONGEST_MESSAGE = 300
 """Characters of an error, which may quote the file."""
 
+WITHOUT_LIMIT = 130.0 / 3.6
+"""m/s, where the file says "no limit": what German motorways without one recommend."""
+
 _SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 _UNITS_IN_USE = {"": "m/s", "mps": "m/s", "kmh": "km/h", "kph": "km/h", "kmph": "km/h", "mi/h": "mph"}
 """Units of speed as some files write them, in lower case, and as the standard does."""
@@ -113,7 +116,9 @@ class ElementReader:
 
     def speed(self, element: etree._Element, start: float) -> SpeedLimit:
         """Return the speed limit that holds from station `start` on."""
-        if element.get("max") in ("no limit", "undefined"):
+        if element.get("max") == "no limit":
+            return SpeedLimit(start, WITHOUT_LIMIT)
+        if element.get("max") == "undefined":
             return SpeedLimit(start, None)
         if not element.get("max"):
             self.note(element, "a speed limit without a number was passed over")

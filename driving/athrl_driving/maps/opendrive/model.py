@@ -98,7 +98,7 @@ class LaneMark:
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimit:
-    """From `s` metres into the road or the section on: m/s, or None where the file says no limit."""
+    """From `s` metres into the road or the section on: m/s, or None where the file gives none."""
 
     s: float
     limit: float | None

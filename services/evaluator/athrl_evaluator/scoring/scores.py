@@ -75,7 +75,7 @@ def score(results: Sequence[EpisodeResult]) -> Scores:
         off_lane_rate=float(np.mean([result.off_lane for result in results])),
         full_episode_rate=float(np.mean([result.full for result in results])),
         success_rate=float(success.mean()),
-        success_seconds=float(seconds[success].mean()) if success.any() else None,
+        success_seconds=round(float(seconds[success].mean()), 3) if success.any() else None,
         driving_score=float(np.mean([result.driving_score for result in results])),
         comfort=float(np.mean([result.comfort for result in results])),
         time_to_collision_kept=float(np.mean([result.time_to_collision_kept for result in results])),
