@@ -86,7 +86,8 @@ def _section(root: Path, name: str) -> str:
         study = read_study_file(file)
         nothing = StudyFolder(root / "studies" / "results" / name)
         found = tabulated(study, planned_runs(file, study), nothing)
-        said = f"Not measured yet: `athrl study studies/{name}.toml` does it, in {len(found['rows'])} rows."
+        kinds = f"{len(found['rows'])} combinations of planner, town and variant"
+        said = f"Not measured yet: `athrl study studies/{name}.toml` does it, for {kinds}."
         if not study.published:  # nothing but empty cells
             return f"## {found['title']}\n\n{said}\n"
     else:

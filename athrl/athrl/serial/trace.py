@@ -1,7 +1,7 @@
 """`trace.txt`: fingerprints of the run, without times, so that `diff` compares two runs.
 
-    update 200, step 1480: parameters 3f9ab0c1d2e3f405
-    update 2400, step 13220: parameters ... optimisers ... replay ... actor ...
+    update 200, step 22784: parameters 3f9ab0c1d2e3f405
+    update 2400, step 163584: parameters ... optimisers ... replay ... actor ...
 
 A line of the second kind is written at every regular checkpoint and at the end. A checkpoint contains the
 size of the file; later lines of a killed run are removed on resume and written again.
