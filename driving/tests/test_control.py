@@ -71,6 +71,19 @@ def test_steering_is_symmetric_in_every_frame(angle: float, heading: float, x: f
     assert command(angle) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("radius", [4.0, 8.0])
+def test_a_waypoint_at_right_angles_steers_to_its_side_all_the_way_past_it(side: int, radius: float) -> None:
+    """The paper's semicircle has waypoints there, of which rounding must not decide."""
+    random = np.random.default_rng(0)
+    for x, y, heading in random.uniform(-300.0, 300.0, (200, 3)):
+        waypoint = x - side * radius * math.sin(heading), y + side * radius * math.cos(heading)
+        controller = WaypointController()
+        for driven in (0.0, 0.5, 1.0, 2.0):
+            place = x + driven * math.cos(heading), y + driven * math.sin(heading)
+            assert controller.steering(*place, heading, waypoint, 0.1) == side * MAXIMUM_STEERING
+
+
 def test_a_waypoint_behind_has_no_effect() -> None:
     assert WaypointController().steering(0.0, 0.0, 0.0, (-3.0, 1.0), 0.1) == 0.0
 

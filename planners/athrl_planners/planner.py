@@ -36,7 +36,8 @@ class LevelPlan:
         rewarded: names of its reward terms (`athrl_spaces.REWARD_TERMS`); empty: all of them, the task's
             reward.
         value_from: target of its critics; experience: its rewards and its own next value; below: the value
-            of the next level's critics for that level's own decision, without that level's noise.
+            of the next level's critics for that level's own decision, without exploration (td3's target
+            policy smoothing is on it).
     """
 
     name: str

@@ -142,7 +142,7 @@ class ActorCriticSettings(PlannerSettings):
         ge=0,
         le=100,
         description="With ddpg and td3: weight of the squared output before its tanh in the actors' loss; "
-        "0 is the paper.",
+        "0 is the paper, with an action_reach of 1: above 1 nothing else brings back a saturated actor.",
     )
     action_reach: float = Field(
         default=1.1,
@@ -166,15 +166,16 @@ class ActorCriticSettings(PlannerSettings):
     sac_target_entropy: float = Field(
         default=-1.0,
         ge=-20,
-        le=2,
-        description="With sac: target entropy of each decided number.",
+        le=0.69,
+        description="With sac: target entropy of each decided number; a uniform one has 0.69.",
     )
     noise_low: float = Field(
         default=0.05,
         ge=0,
         le=2,
-        description="With ddpg and td3: deviation of the exploration noise in an actor's first environment, "
-        "half-ranges.",
+        description="With ddpg and td3: deviation of what is added to the exploration noise at each "
+        "decision, in an actor's first environment, half-ranges; with a damping of 0.15 the noise itself has "
+        "1.9 times as much.",
     )
     noise_high: float = Field(
         default=0.4,

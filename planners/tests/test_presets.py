@@ -44,6 +44,7 @@ OF_ACTORS = {
     "saturation_penalty": 0.0,
     "action_reach": 1.0,
 }
+OF_WAYPOINTS = {"maximum_speed": 8.0, "waypoint_half_angle": 90.0, "waypoint_radius": 8.0, "speed_gain": 0.7}
 OF_HDQN = {
     "discount": 0.95,
     "learning_rate": 1e-3,
@@ -106,6 +107,8 @@ def test_preset_is_the_papers_recipe(preset: Path) -> None:
     assert run_file.learner.batch == 128 * run_file.replay.sequence_length
     assert run_file.replay.capacity == 100_000
     assert settings.model_dump() | OF_ALL == settings.model_dump()
+    environment = run_file.environment.model_dump()
+    assert run_file.planner.kind == "ddpg" or environment | OF_WAYPOINTS == environment
     own = OF_HDQN if run_file.planner.kind == "hdqn" else OF_ACTORS
     assert settings.model_dump() | own == settings.model_dump()
 

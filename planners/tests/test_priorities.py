@@ -135,6 +135,21 @@ def prioritised(agent: Agent, slots: int = 4, seed: int = 1) -> SequenceReplay:
     return make_replay(agent, 5 * slots, 5, seed, (0.6, 0.4))
 
 
+def test_error_of_what_was_replaced_meanwhile_is_not_the_new_ones(
+    agent: Agent, new_sequence: Sequences
+) -> None:
+    replay = prioritised(agent, slots=2)
+    for seed in range(2):
+        replay.insert(new_sequence(agent, seed))
+    batch = replay.sample(200)
+    replay.insert(new_sequence(agent, 7))  # in place of the first, before the errors are known
+    replay.update_priorities(batch, np.full(len(batch.places), 8.0, np.float32))
+    priorities = replay.priorities()["priorities"]
+    new, kept = np.split(priorities, 2)
+    assert new == pytest.approx(1.0)  # what every new item gets
+    assert kept == pytest.approx((8.0 + SMALLEST_PRIORITY) ** 0.6)
+
+
 def test_what_is_overwritten_is_gone(agent: Agent, new_sequence: Sequences) -> None:
     """A full sequence makes room for one with padding, whose places have large errors from before."""
     replay = prioritised(agent, slots=2)

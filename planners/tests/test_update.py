@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from athrl_planners import Agent, Sequence, SequenceBatch, SequenceReplay, TrainingDiverged
+from athrl_planners.networks import as_pixels
 
 MEMORY = {"memory": "lstm"}
 NewAgent = Callable[..., Agent]
@@ -150,6 +151,42 @@ def test_burn_in_spares_the_first_decisions_but_no_start_and_no_last_one(
         rewards[0] += 50
     one, other = (after(stack([each]), burn_in=2) for each in (sequence, changed))
     assert equal(one, other) is not trained
+
+
+@pytest.mark.parametrize("constant_shapes", [False, True])
+def test_burn_in_trains_as_if_the_state_after_it_had_been_stored(
+    new_agent: NewAgent, new_sequence: NewSequence, stack: Stack, constant_shapes: bool
+) -> None:
+    """No gradient passes through it, neither to the encoder nor to the memory (R2D2)."""
+    kind, burn_in = "hddpg", 2
+    agents = [new_agent(kind, **MEMORY, burn_in=steps) for steps in (burn_in, 0)]
+    for agent in agents:
+        agent.prepare._constant_shapes = constant_shapes
+    whole = new_sequence(agents[0], 1, terminated=True)
+    (level,) = whole.actions
+    trunk = dict(agents[0].state.target_trunks)[agents[0].state.trunk_of(level)]
+    with torch.no_grad():
+        state = torch.from_numpy(whole.initial_state[level])[None]
+        images, motion = torch.from_numpy(whole.images[:burn_in]), torch.from_numpy(whole.motion[:burn_in])
+        features = trunk.features(as_pixels(images), motion)
+        _, reached = trunk.unroll(features[:, None], state[:, : trunk.state_size])
+    rest = replace(
+        whole,
+        images=whole.images[burn_in:],
+        motion=whole.motion[burn_in:],
+        actions={level: whole.actions[level][burn_in:]},
+        rewards={level: whole.rewards[level][burn_in:]},
+        initial_state={level: reached[0].numpy()},
+        length=whole.length - burn_in,
+    )
+    moments = []
+    for agent, sequence in zip(agents, (whole, rest), strict=True):
+        agent.update(stack([sequence]))
+        moments.append(agent.state_dict()["critic_optimiser"]["state"])
+    for place in moments[0]:
+        torch.testing.assert_close(
+            moments[0][place]["exp_avg"], moments[1][place]["exp_avg"], atol=1e-6, rtol=1e-4
+        )
 
 
 def test_last_decision_of_a_short_rest_is_trained(

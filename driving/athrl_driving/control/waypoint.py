@@ -18,6 +18,9 @@ from athrl_driving.kernels.compilation import compiled
 WHEEL_ANGLE_PER_STEERING = math.radians(70.0)
 """Angle of the front wheels for a steering command of 1, rad; the limit of 0.3 is 21 degrees."""
 
+BEHIND = math.radians(135.0)
+"""Angle to a waypoint from which on it lies behind the car, rad."""
+
 PROPORTIONAL, DERIVATIVE, INTEGRAL = 0.7, 0.005, 0.001
 """Gains of the steering loop, and the last two of the speed loop too, as in the authors' release."""
 
@@ -54,12 +57,11 @@ def steering_command(
 ) -> float:
     """Steering command towards the waypoint, within +-MAXIMUM_STEERING, positive to the right.
 
-    A waypoint behind the car has no effect: the car does not turn back to it. `memory` float64 [2] is the
-    steering loop's.
+    A waypoint that the car has passed counts as one beside it, until it lies behind the car (`BEHIND`): then
+    it has no effect, as the car does not turn back. `memory` float64 [2] is the steering loop's.
     """
     angle = angle_to(x, y, heading, waypoint_x, waypoint_y)
-    if abs(angle) > math.pi / 2:
-        angle = 0.0
+    angle = 0.0 if abs(angle) > BEHIND else min(max(angle, -math.pi / 2), math.pi / 2)
     return pid_step(memory, PROPORTIONAL, DERIVATIVE, INTEGRAL, MAXIMUM_STEERING, angle, interval)
 
 

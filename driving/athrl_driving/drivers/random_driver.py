@@ -17,9 +17,9 @@ class RandomDriver(Driver):
         self._generator = np.random.default_rng(0)
 
     def reset(self, env: gymnasium.Env | EnvView, seed: int) -> None:
-        """Begin an episode with a generator of its own."""
+        """Begin an episode with a generator of its own, not the environment's of the same seed."""
         super().reset(env, seed)
-        self._generator = np.random.default_rng(seed)
+        self._generator = np.random.default_rng([seed, 1])
 
     def act(self, env: gymnasium.Env | EnvView) -> NDArray[np.float32]:
         """Draw a uniform action."""

@@ -46,7 +46,10 @@ class AtHRLSettings(ActorCriticSettings):
         description="Width of the hidden layers of the intention planner's actor and critics.",
     )
     intention_noise: float = Field(
-        default=0.2, ge=0, le=2, description="Standard deviation of the noise on the intention, half-ranges."
+        default=0.2,
+        ge=0,
+        le=2,
+        description="With ddpg and td3: as noise_low, for the intention, in every environment.",
     )
     intention_reward: Literal["task", "progress"] = Field(
         default="task",

@@ -51,6 +51,7 @@ class SequenceBatch:
         terminated: bool [batch].
         places: int64 [batch], indices in the replay, for new priorities.
         weights: float32 [batch], importance weights, at most 1.
+        inserted: sequences that had been inserted into the replay.
     """
 
     images: np.ndarray
@@ -62,6 +63,7 @@ class SequenceBatch:
     terminated: np.ndarray
     places: np.ndarray
     weights: np.ndarray
+    inserted: int = 0
 
     @property
     def transitions(self) -> int:
@@ -105,11 +107,13 @@ class TransitionBatch(Decisions):
         images: uint8 [1 + horizons, batch, height, width, channels]: at the decision, and after each horizon.
         motion: float32 [1 + horizons, batch, motion], at the same times.
         places: int64 [batch], indices in the replay, for new priorities.
+        inserted: sequences that had been inserted into the replay.
     """
 
     images: np.ndarray
     motion: np.ndarray
     places: np.ndarray
+    inserted: int = 0
 
     @property
     def transitions(self) -> int:

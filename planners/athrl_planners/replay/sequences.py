@@ -107,11 +107,16 @@ class SequenceReplay:
             return self._sequence_batch(*self._sampler.draw(count, self._random))
 
     def update_priorities(self, batch: Batch, errors: np.ndarray) -> None:
-        """Set the priorities of a batch from its absolute errors, float32 [batch]."""
+        """Set the priorities of a batch from its absolute errors, float32 [batch].
+
+        Items that have been replaced since it was sampled keep theirs.
+        """
         if self._priority is None:
             return
         with self._lock:
-            self._sampler.update_priorities(batch.places, errors)
+            slots = batch.places // self._items_per_slot
+            replaced = (slots - batch.inserted) % self.slots < self._inserted - batch.inserted
+            self._sampler.update_priorities(batch.places[~replaced], errors[~replaced])
 
     def columns(self) -> dict[str, np.ndarray]:
         """Stored sequences by column: views [sequences, ...] in order of slots; empty if there are none."""
@@ -207,6 +212,7 @@ class SequenceReplay:
             terminated=rows["terminated"],
             places=slots,
             weights=weights,
+            inserted=self._inserted,
         )
 
     def _transition_batch(self, places: np.ndarray, weights: np.ndarray) -> TransitionBatch:
@@ -237,6 +243,7 @@ class SequenceReplay:
             step=step,
             places=places,
             weights=weights,
+            inserted=self._inserted,
         )
 
     def _allocate(self) -> None:

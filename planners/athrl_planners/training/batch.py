@@ -15,7 +15,7 @@ from torch import Tensor
 
 from athrl_planners.replay import Batch, Decisions, SequenceBatch, TransitionBatch
 from athrl_planners.settings import PlannerSettings
-from athrl_planners.training.frames import PaddedFrames, SequenceFrames, TransitionFrames
+from athrl_planners.training.frames import BurnIn, PaddedFrames, SequenceFrames, TransitionFrames
 from athrl_planners.training.level import Level
 from athrl_planners.training.mirror import mirrored
 
@@ -150,6 +150,7 @@ class BatchPreparation:
                 self._tensor(batch.motion.swapaxes(0, 1)),
                 self._tensor((steps < burn_in).reshape(-1, 1)),
                 self._tensor(chosen + count * decisions.steps),
+                self._whole(burn_in),
             )
             return TrainingBatch(frames, states, levels, item_of, count)
         return TrainingBatch(
@@ -171,7 +172,11 @@ class BatchPreparation:
                 self._tensor(np.flatnonzero(steps <= batch.length)),
             ),
             self._tensor(ahead),
+            self._whole(burn_in),
         )
+
+    def _whole(self, burn_in: np.ndarray) -> BurnIn:
+        return BurnIn(self._burn_in, self._tensor((burn_in == self._burn_in)[:, None]))
 
     def _decisions(
         self, batch: SequenceBatch, index: np.ndarray, step: np.ndarray, trained: np.ndarray

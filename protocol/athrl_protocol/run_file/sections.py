@@ -126,7 +126,10 @@ class ReplaySection(Section):
     """The replay buffer."""
 
     capacity: int = Field(
-        default=200_000, ge=100, le=MOST_STEPS, description="Decisions that the replay buffer holds."
+        default=200_000,
+        ge=100,
+        le=MOST_STEPS,
+        description="Decisions that the replay buffer holds, if their sequences are full.",
     )
     sequence_length: int = Field(
         default=16, ge=2, le=256, description="Decisions in a sequence, the unit of the replay."
@@ -136,7 +139,7 @@ class ReplaySection(Section):
         ge=0,
         le=128,
         description="Burn-in, only with a memory: first decisions of a sequence, which update its state "
-        "alone.",
+        "alone; as sequences do not overlap, they are trained on nowhere else.",
     )
     prioritised: bool = Field(
         default=False,
@@ -166,13 +169,15 @@ class LearnerSection(Section):
         default=8.0,
         gt=0,
         le=10_000,
-        description="How often a decision is trained on, on average; the limiter enforces it.",
+        description="How often a decision is trained on, on average; the limiter enforces it. A batch counts "
+        "whole, with padding: an update is due every batch / samples_per_insert decisions.",
     )
     samples_per_insert_tolerance: float = Field(
         default=0.1,
         gt=0,
         le=1,
-        description="Relative deviation of samples per insert before actors or learner wait.",
+        description="By how much of the samples that the warm-up would be due actors or learner may lead "
+        "before they wait.",
     )
     publish_seconds: float = Field(
         default=1.0, gt=0, le=LONGEST_SECONDS, description="Seconds between published policies."

@@ -97,6 +97,20 @@ def test_a_full_run_takes_nothing_more_and_trains_what_it_owes(store, make_chunk
     assert 0 <= store.limiter.surplus < 20
 
 
+@pytest.mark.parametrize("length", [1, 2, 5])
+def test_short_episodes_do_not_change_how_many_updates_there_are(store, make_chunk, accept, length):
+    updates = 0
+    while not store.exhausted:
+        with contextlib.suppress(IntakeBusy, IntakeFinished):
+            while True:
+                accept(store, make_chunk(length=length, truncated=length < 5))
+        while store.sample(timeout=0) is not None:
+            updates += 1
+    limiter = store.limiter
+    due = (store.environment_steps - limiter.minimum_inserts) * limiter.ratio
+    assert abs(updates * limiter.largest_sample - due) <= limiter.error_bound
+
+
 def test_a_resumed_full_run_stays_full(store, make_chunk, accept):
     store.restore(environment_steps=400)
     with pytest.raises(IntakeFinished):

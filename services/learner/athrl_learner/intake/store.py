@@ -124,7 +124,7 @@ class ExperienceStore:
                     return None
             self.learner_waiting.end()
             batch = self.replay.sample(largest)
-            self.limiter.sampled(batch.transitions)
+            self.limiter.sampled(largest)
             if self.limiter.permits_insert(self.limiter.largest_insert) and not self.disk_space.explain():
                 self.actors_waiting.end()
             return batch
