@@ -16,6 +16,7 @@ from athrl.errors import CommandError
 from athrl.runs import declare_installed_planners
 from athrl.study.file import StudyFile, read_study_file
 from athrl.study.folder import StudyFolder
+from athrl.study.grid import driver_name
 from athrl.study.places import require_places, require_room_at_home
 from athrl.study.plan import PlannedRun, planned_runs, require_search
 from athrl.study.search import Search
@@ -91,10 +92,18 @@ def changed(**changes: Any) -> dict[str, Any]:
         (changed(run_file="../{pilot}.toml"), "should be a path that has {planner} and {town} alone"),
         (changed(run_file="no-such-{planner}.toml"), "no-such-ddpg.toml: cannot be read"),
         (changed(town="town03"), "grid number 1, town is no key of a study"),
+        ({**GOOD, "study": {"name": "one", "seeds": list(range(501))}}, "should have at most 500 items"),
         (
-            {**GOOD, "study": {"name": "one", "seeds": list(range(6000))}},
-            "has 12,000 runs, should have at most",
+            {
+                "study": {"name": "one", "seeds": list(range(500))},
+                "grid": [
+                    {"planners": ["ddpg"], "towns": ["town03"], "variants": {f"v{n}": [] for n in range(21)}}
+                ],
+            },
+            "has 10,500 runs, should have at most",
         ),
+        (changed(run_file="{planner:>9999999999}"), "should be a path that has {planner} and {town} alone"),
+        (changed(run_file="{planner.__class__}"), "should be a path that has {planner} and {town} alone"),
         (changed(towns=["town02", ["town02", "town3"]]), "there is no town named 'town3'"),
         (changed(towns=[["town02", "town02"]]), '"town02" appears twice'),
         (elsewhere(town="town3"), "elsewhere number 1, town: there is no town named 'town3', did you"),
@@ -365,3 +374,13 @@ def test_random_towns_with_numbers_in_a_row_are_told_in_short(tmp_path: Path) ->
     assert runs[0].row.town == "town02+random-1..3+random-9+random-8"
     assert runs[0].name == "athrl-town02-random-1--3-random-9-random-8-1"
     assert list(runs[0].settings.environment.towns) == towns
+
+
+def test_results_of_a_driver_in_towns_with_long_paths_can_be_written(tmp_path: Path) -> None:
+    folder = StudyFolder(tmp_path / "out")
+    towns = [f"/{'a long folder/' * 20}{name}.xodr" for name in ("north", "s\u00fcd")]
+    names = [driver_name("rule-based", "+".join(order)) for order in (towns, towns[::-1])]
+    for name in names:
+        folder.note(name, {"driver": "rule-based"})
+        assert folder.result(name) == {"driver": "rule-based"}
+    assert names[0] != names[1]

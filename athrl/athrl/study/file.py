@@ -31,6 +31,9 @@ SCORES = (
 
 MOST_RUNS = 10_000
 
+MOST_IN_A_LIST = 500
+"""Seeds, towns, settings, variants or ranges of a study."""
+
 _NAME = r"^[a-z0-9][a-z0-9_-]{0,30}$"
 _NAMES = "a name of at most 31 characters: a-z, 0-9, _ and -, not _ or - first"
 """What `_NAME` says."""
@@ -41,16 +44,24 @@ class StudyFileError(CommandError):
 
 
 def _not_twice(values: list[Any]) -> list[Any]:
-    for number, value in enumerate(values):
-        if value in values[:number]:
+    seen = set()
+    for value in values:
+        key = tuple(value) if isinstance(value, list) else value
+        if key in seen:
             raise ValueError(f"{show(value)} appears twice, it should appear once")
+        seen.add(key)
     return values
 
 
-Seeds = Annotated[
-    list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1), AfterValidator(_not_twice)
-]
-Names = Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1), AfterValidator(_not_twice)]
+def _lists(least: int = 1) -> Any:
+    """Bounds of a list that each run, or each seed of it, repeats."""
+    return Field(min_length=least, max_length=MOST_IN_A_LIST)
+
+
+Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], _lists(), AfterValidator(_not_twice)]
+Names = Annotated[list[Annotated[str, Field(min_length=1)]], _lists(), AfterValidator(_not_twice)]
+Overrides = Annotated[list[str], _lists(0)]
+"""Settings as after `--set`."""
 Together = Annotated[Names, BeforeValidator(lambda given: [given] if isinstance(given, str) else given)]
 """Towns that one run drives in; one alone needs no brackets."""
 
@@ -61,8 +72,8 @@ class StudySection(Section):
     name: str = Field(pattern=_NAME)
     title: str = ""
     seeds: Seeds = Field(default=[1, 2, 3])
-    settings: list[str] = Field(default=[])
-    """Overrides of every run, as after `--set`."""
+    settings: Overrides = Field(default=[])
+    """Of every run."""
     drivers: Annotated[list[str], AfterValidator(_not_twice)] = Field(default=[])
     """Reference drivers that are scored beside the policies in each town."""
     hours_a_run: float = Field(default=48.0, gt=0.0, le=1000.0)
@@ -88,24 +99,21 @@ class GridSection(Section):
     """`[[grid]]`: every planner in every town, in every variant, with every seed."""
 
     planners: Names
-    towns: Annotated[list[Together], Field(min_length=1), AfterValidator(_not_twice)]
+    towns: Annotated[list[Together], _lists(), AfterValidator(_not_twice)]
     seeds: Seeds | None = None
     run_file: str | None = None
     """Path from the study's file; `{planner}` and `{town}` stand for those of the run."""
-    settings: list[str] = Field(default=[])
-    variants: dict[str, list[str]] = Field(default={"": []}, min_length=1)
+    settings: Overrides = Field(default=[])
+    variants: Annotated[dict[str, Overrides], _lists()] = Field(default={"": []})
     """Further overrides by the name of the variant."""
 
     @field_validator("run_file")
     @classmethod
     def _can_be_filled(cls, template: str | None) -> str | None:
-        try:
-            if template is not None:
-                template.format(planner="", town="")
-        except (LookupError, ValueError, AttributeError):
+        if template is not None and set("{}") & set(filled(template, planner="", town="")):
             raise ValueError(
                 f"{show(template)}: should be a path that has {{planner}} and {{town}} alone in braces"
-            ) from None
+            )
         return template
 
 
@@ -169,9 +177,7 @@ class SearchSection(Section):
     direction: Literal["maximise", "minimise"] = "maximise"
     prune: bool = True
     """Whether a trial whose scores on the way are below the median of the earlier ones is ended."""
-    ranges: dict[str, Range | Annotated[list[bool | int | float | str], Field(min_length=1)]] = Field(
-        min_length=1
-    )
+    ranges: Annotated[dict[str, Range | Annotated[list[bool | int | float | str], _lists()]], _lists()]
 
 
 class StudyFile(Section):
@@ -199,6 +205,11 @@ def read_study_file(path: Path) -> StudyFile:
         return StudyFile.model_validate(values)
     except ValidationError as error:
         raise StudyFileError(f"{path}: {_describe(error)}") from None
+
+
+def filled(template: str, *, planner: str, town: str) -> str:
+    """Return the path of a run file for a planner and a town."""
+    return template.replace("{planner}", planner).replace("{town}", town)
 
 
 def numbered(table: str, index: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,9 @@ from athrl.study.scores import evaluated
 from athrl.train.plan import usable_cores
 
 Say = Callable[[str], None]
+
+_LONGEST_TOWN = 40
+"""Characters of a town in the name of a file."""
 
 
 class GridRunner:
@@ -188,8 +192,11 @@ def _keep_to(cores: set[int]) -> None:
 
 
 def driver_name(driver: str, town: str) -> str:
-    """Return under which name a reference driver's scores in a town are kept."""
-    return f"driver-{driver}-{town.replace('/', '_')}"
+    """Return under which name a reference driver's scores in a town, or in several, are kept."""
+    name = town.replace("/", "_")
+    if len(name) > _LONGEST_TOWN:  # paths of maps; a file name has at most 255 bytes
+        name = f"{name[:_LONGEST_TOWN]}-{hashlib.sha256(town.encode()).hexdigest()[:12]}"
+    return f"driver-{driver}-{name}"
 
 
 def name_elsewhere(name: str, place: str) -> str:

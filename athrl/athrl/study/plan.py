@@ -16,7 +16,7 @@ from athrl_protocol.run_file.toml_values import show, to_toml_value
 from athrl_spaces import town_seed
 
 from athrl.errors import CommandError, needs
-from athrl.study.file import MOST_RUNS, GridSection, StudyFile, StudyFileError, numbered
+from athrl.study.file import MOST_RUNS, GridSection, StudyFile, StudyFileError, filled, numbered
 
 _FIXED = ("run.name", "run.folder", "run.seed", "planner.kind", "environment.towns", "network.listen")
 """Settings that the study gives each run itself."""
@@ -120,7 +120,7 @@ def _planned(
     overrides = (*(f"{key}={to_toml_value(value)}" for key, value in own.items()), *given)
     run_file = None
     if grid.run_file is not None:
-        run_file = folder / grid.run_file.format(planner=row.planner, town=_label(row))
+        run_file = folder / filled(grid.run_file, planner=row.planner, town=_label(row))
     try:
         settings = read_run_file(run_file, overrides)
     except RunFileError as error:

@@ -56,6 +56,8 @@ def read_towns(value: Any) -> dict[str, float]:
 
 
 def _equal_shares(towns: list[Any]) -> dict[Any, float]:
+    if len(towns) > MOST_TOWNS:
+        raise ValueError(f"has {len(towns)} towns, should have 1 to {MOST_TOWNS}")
     for town in towns:
         if not isinstance(town, str):
             raise ValueError(f"has a town {town!r:.60}, should be {EXPECTED}")
