@@ -6,6 +6,7 @@ import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import TracebackType
 
 from athrl_protocol import (
@@ -28,6 +29,9 @@ from athrl_protocol.transport.session import listens
 
 SILENT_SECONDS = 5.0
 """State and metrics arrive every second; after so long without new ones they are old."""
+
+MOST_REPORTS, MOST_DRIVERS = 20_000, 50
+"""Services and drivers that are kept: others make up their names."""
 
 LEAST_SECONDS = 2.0
 """Least time over which a rate is measured."""
@@ -76,11 +80,17 @@ class RunSnapshot:
         """Whether all environment steps are done."""
         return self.state is not None and self.state.phase is Phase.FINISHED
 
+    @cached_property
+    def _names(self) -> dict[str, list[str]]:
+        """The present services of each role, sorted."""
+        names: dict[str, list[str]] = {}
+        for role, name in sorted(self.present):
+            names.setdefault(role, []).append(name)
+        return names
+
     def of_role(self, role: str) -> dict[str, dict[str, float]]:
         """Return the metrics of every present service of a role by its name; empty if it did not report."""
-        return {
-            name: self.metrics.get((role, name), {}) for found, name in sorted(self.present) if found == role
-        }
+        return {name: self.metrics.get((role, name), {}) for name in self._names.get(role, ())}
 
     def learner_metric(self, name: str) -> float | None:
         """Return a metric of the learner; None if it was not reported."""
@@ -141,21 +151,26 @@ class RunView:
         self._heard_at = time.monotonic()
 
     def _on_metrics(self, report: MetricsReport) -> None:
+        who = (report.role, report.name)
         with self._lock:
-            self._reports[report.role, report.name] = (time.monotonic(), report.values)
+            self._reports.pop(who, None)  # so that they are in the order of time
+            self._reports[who] = (time.monotonic(), report.values)
+            if len(self._reports) > MOST_REPORTS:
+                del self._reports[next(iter(self._reports))]
 
     def _on_evaluation(self, result: EvaluationResult) -> None:
         with self._lock:
-            self._evaluations[result.driver] = result
+            if result.driver in self._evaluations or len(self._evaluations) < MOST_DRIVERS:
+                self._evaluations[result.driver] = result
 
     def snapshot(self) -> RunSnapshot:
         """Return the current state."""
         now = time.monotonic()
         state = self._state.newest()
         with self._lock:
-            metrics = {
-                who: values for who, (at, values) in self._reports.items() if now - at <= SILENT_SECONDS
-            }
+            for who in [who for who, (at, _) in self._reports.items() if now - at > SILENT_SECONDS]:
+                del self._reports[who]
+            metrics = {who: values for who, (_, values) in self._reports.items()}
             evaluations = dict(self._evaluations)
             if state is not None:
                 self._note_progress(state)

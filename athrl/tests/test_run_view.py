@@ -11,7 +11,16 @@ from collections.abc import Callable
 import pytest
 import zenoh
 from athrl.run_view import RunSnapshot, RunView
-from athrl_protocol import Phase, RunFile, RunState, StatePublisher, open_session, serve_run_file
+from athrl_protocol import (
+    EvaluationResult,
+    MetricsReport,
+    Phase,
+    RunFile,
+    RunState,
+    StatePublisher,
+    open_session,
+    serve_run_file,
+)
 
 from athrl import run_view
 
@@ -141,3 +150,14 @@ def test_paused_learner_is_told_from_an_absent_one(address: str, monkeypatch: py
         finally:
             learner.kill()
         until(f"the learner is absent, no process listens at {address.partition(':')[0]}", connected=False)
+
+
+def test_reports_under_ever_new_names_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_view, "MOST_REPORTS", 100)
+    view = RunView("tcp/127.0.0.1:1", None, timeout=1.0)
+    for number in range(1000):
+        view._on_metrics(MetricsReport("actor", f"a{number}", 1.0, {"speed": 1.0}))
+        view._on_evaluation(EvaluationResult(f"made up {number}", 1, 1, "town03", 1, {}))
+    assert len(view._reports) == 100
+    assert ("actor", "a999") in view._reports
+    assert len(view._evaluations) == run_view.MOST_DRIVERS

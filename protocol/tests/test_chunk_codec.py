@@ -316,6 +316,17 @@ def test_bomb_is_refused_before_it_is_unpacked(
         assert caught.value.reason == "size"
 
 
+def test_images_beyond_what_the_run_has_are_not_unpacked(
+    make_chunk: Callable[..., Chunk], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    payload = encode_chunk(make_chunk())
+    size = decode_chunk(payload).images.nbytes
+    assert decode_chunk(payload, size).images.nbytes == size
+    monkeypatch.setattr("athrl_protocol.codec.chunks.unpack_images", lambda *_: pytest.fail("was unpacked"))
+    with pytest.raises(InvalidMessage, match=f"images of {size} bytes, should be 1 to {size - 1}"):
+        decode_chunk(payload, size - 1)
+
+
 def test_frame_that_lies_about_its_size_is_refused(make_chunk: Callable[..., Chunk]) -> None:
     honest = zstandard.ZstdCompressor(level=1).compress(bytes(1280))
     liar = bytearray(zstandard.ZstdCompressor(level=1).compress(bytes(100_000)))

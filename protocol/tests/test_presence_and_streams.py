@@ -184,6 +184,36 @@ def test_frame_with_images_of_another_size_is_refused() -> None:
         decode_frame(encode_frame(frame))
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"vehicles": [Vehicle()] * 10_001}, "10001 vehicles, should be at most 10000"),
+        ({"route": [Point()] * 999}, "1001 waypoints, should be at most 1000"),
+        ({"time": -1.0}, "time is -1 s, should be 0 to"),
+        ({"time": 1e9}, r"time is 1e\+09 s, should be 0 to"),
+        ({"time": math.nan}, "time is nan s, should be 0 to"),
+    ],
+)
+def test_frame_that_no_town_has_is_refused(changes: dict[str, object], told: str) -> None:
+    frame = _frame(3)
+    frame.MergeFrom(Frame(**changes))  # type: ignore[arg-type]
+    with pytest.raises(InvalidMessage, match=told):
+        decode_frame(encode_frame(frame))
+
+
+def test_made_up_services_are_not_kept(
+    listen: Open, connect: Open, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("athrl_protocol.announcements.presence.MOST_PRESENT", 3)
+    learner, session = listen(), connect()
+    with PresenceWatcher(learner, RUN) as watcher, contextlib.ExitStack() as stack:
+        for number in range(10):
+            stack.enter_context(announce_presence(session, RUN, "actor", f"a{number}"))
+        eventually(lambda: len(watcher.present()) == 3)
+        stack.close()
+        eventually(lambda: not watcher.present())
+
+
 def _frame_of(decision: dict[str, float], **changes: object) -> Frame:
     """The frame of a moment with this decision, as it arrives; `changes` are the scene's."""
     vehicle = SimpleNamespace(x=0.0, y=0.0, heading=0.0, speed=0.0, length=5.0, width=2.0)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import pytest
 import zenoh
 from athrl_protocol import AddressInUse, LearnerNotFound, ProtocolError, complete_address, open_session
+from athrl_protocol.transport.address import split_address
 
 PATIENCE = 30.0
 Open = Callable[[], zenoh.Session]
@@ -132,3 +133,16 @@ subscriber.close()
     )
     assert ended.stdout == b""
     assert ended.stderr == b""
+
+
+@pytest.mark.parametrize(
+    "host", ["a..b", "a" * 64, "a\0b", "a b", "a\tb", "a." * 150, "\ud800", ""], ids=repr
+)
+def test_host_that_nobody_can_look_up_is_no_address(host: str) -> None:
+    with pytest.raises(ProtocolError, match="is not an address"):
+        split_address(f"tcp/{host}:7447")
+
+
+@pytest.mark.parametrize("host", ["learner", "a.b.", "127.0.0.1", "[::1]", "[fe80::1%eth0]", "münchen.de"])
+def test_host_that_can_be_looked_up_is_one(host: str) -> None:
+    assert split_address(f"tcp/{host}:7447") == (host.strip("[]"), 7447)

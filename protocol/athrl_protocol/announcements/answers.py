@@ -124,9 +124,10 @@ class FreeNames(Closeable):
             now = time.monotonic()
             former = self._given.pop(host, ("", now))[0]
             reserved = {name for name, at in self._given.values() if now - at < RESERVED_SECONDS}
+            taken = present | reserved | self._bound
             numbered = (f"{self._role}-{number}" for number in itertools.count(1))
             names = itertools.chain([former] if former else [], numbered)
-            name = next(name for name in names if name not in present | reserved | self._bound)
+            name = next(name for name in names if name not in taken)
             self._given[host] = (name, now)
             if len(self._given) > MOST_HOSTS:
                 del self._given[next(iter(self._given))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Set
 
 import zenoh
 
@@ -14,6 +14,7 @@ from athrl_protocol.transport.closeable import Closeable
 from athrl_protocol.transport.session import undeclare_quietly
 
 MOST_AT_ONCE = 256  # events between two polls; with more of them the session would wait
+MOST_PRESENT = 20_000  # services of a run; of further tokens, which anybody may make up, nothing is kept
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +57,7 @@ class PresenceWatcher(Closeable):
         self._on_change = on_change
         self._changed = threading.Condition()
         self._background = Background("the watch over present services", _log, wake=self._wake)
-        self._present: frozenset[tuple[str, str]] = frozenset()
+        self._present: set[tuple[str, str]] = set()
         # With history, because a query for tokens can come back empty behind a router.
         self._subscriber = session.liveliness().declare_subscriber(
             Keys(run).every_alive, self._take, history=True
@@ -68,8 +69,11 @@ class PresenceWatcher(Closeable):
             self._background.check()
             return set(self._present)
 
-    def wait_for(self, condition: Callable[[frozenset[tuple[str, str]]], bool], timeout: float) -> bool:
-        """Wait at most `timeout` seconds until the set fulfils the condition; return whether it does."""
+    def wait_for(self, condition: Callable[[Set[tuple[str, str]]], bool], timeout: float) -> bool:
+        """Wait at most `timeout` seconds until the set fulfils the condition; return whether it does.
+
+        The condition must not keep the set, which changes.
+        """
         with self._changed:
             reached = self._changed.wait_for(
                 lambda: self._background.failed or condition(self._present), timeout
@@ -95,15 +99,16 @@ class PresenceWatcher(Closeable):
         if not all(map(is_name, service)):
             return  # a stranger's, whose signs would come into the log and onto the screen
         with self._changed:
-            if sample.kind == zenoh.SampleKind.PUT:
-                present = self._present | {service}
-            else:
-                present = self._present - {service}
-            if present == self._present:
+            comes = sample.kind == zenoh.SampleKind.PUT
+            if comes == (service in self._present) or (comes and len(self._present) >= MOST_PRESENT):
                 return
-            self._present = present
+            if comes:
+                self._present.add(service)
+            else:
+                self._present.remove(service)
             self._changed.notify_all()
-        if self._on_change is not None:
+            present = frozenset(self._present) if self._on_change is not None else None
+        if self._on_change is not None and present is not None:
             self._on_change(present)
 
 

@@ -105,8 +105,12 @@ def with_oldest_held(encoded: bytes, oldest_held: int) -> bytes:
     return encoded + athrl_pb2.Chunk(oldest_held=oldest_held).SerializeToString() if oldest_held else encoded
 
 
-def decode_chunk(payload: bytes) -> Chunk:
+def decode_chunk(payload: bytes, most_image_bytes: int = MAXIMUM_IMAGES_BYTES) -> Chunk:
     """Return the chunk in a message; its arrays are read-only.
+
+    Args:
+        payload: the message.
+        most_image_bytes: of its images; more are not unpacked.
 
     Raises:
         InvalidMessage: the message is malformed, of another schema, too large, or its chunk is not valid.
@@ -132,7 +136,7 @@ def decode_chunk(payload: bytes) -> Chunk:
         length=message.length,
         state_interval=interval,
         # if a field comes twice, the last one counts
-        images=_images(message, time, message.images or images),
+        images=_images(message, time, message.images or images, most_image_bytes),
         motion=_column("motion", message.motion, _FLOAT32, (time + 1, message.motion_size)),
         levels=_levels(message, time, time // interval),
         policy_version=_column("policy_version", message.policy_version, _INT64, (time,)),
@@ -171,12 +175,14 @@ def _column(name: str, content: bytes, dtype: np.dtype[Any], shape: tuple[int, .
     return np.ndarray(shape, dtype, content)
 
 
-def _images(message: athrl_pb2.Chunk, time: int, images: bytes | memoryview) -> npt.NDArray[np.uint8]:
+def _images(
+    message: athrl_pb2.Chunk, time: int, images: bytes | memoryview, most: int
+) -> npt.NDArray[np.uint8]:
     shape = (time + 1, message.image_height, message.image_width, message.image_channels)
     expected = prod(shape)
-    if not 0 < expected <= MAXIMUM_IMAGES_BYTES:
+    if not 0 < expected <= min(most, MAXIMUM_IMAGES_BYTES):
         raise InvalidMessage(
-            "size", f"chunk: images of {expected} bytes, should be 1 to {MAXIMUM_IMAGES_BYTES}"
+            "size", f"chunk: images of {expected} bytes, should be 1 to {min(most, MAXIMUM_IMAGES_BYTES)}"
         )
     content = unpack_images(images, message.image_compression, expected)
     return np.ndarray(shape, np.uint8, content)

@@ -235,7 +235,7 @@ class ChunkIntake(Closeable):
                 raise InvalidMessage(
                     "size", f"chunk: {len(message)} bytes, at most {self._largest} in this run"
                 )
-            chunk = decode_chunk(message)
+            chunk = decode_chunk(message, self._largest)
             if sender != chunk.actor:
                 raise InvalidMessage("value", f"chunk: of actor {chunk.actor!r} under the key of another")
             with self._lock:

@@ -18,6 +18,10 @@ MOST_DECIDED = 256
 """Most entries in one decision of a planner."""
 LARGEST_NUMBER = 1e9
 """Of any number in a frame, in its unit."""
+MOST_VEHICLES, MOST_WAYPOINTS = 10_000, 1_000
+"""Of a town, and of the route ahead."""
+LONGEST_EPISODE = 1e8
+"""Simulated seconds."""
 
 __all__ = ["Frame", "Point", "Scene", "Vehicle", "decode_frame", "encode_frame", "frame_of"]
 
@@ -128,8 +132,16 @@ def decode_frame(payload: bytes) -> Frame:
             announced size, or a number is not finite or above `LARGEST_NUMBER`.
     """
     frame = decode_message(Frame, payload, largest=LARGEST_FRAME)
+    for kind, count, most in (
+        ("vehicles", len(frame.vehicles), MOST_VEHICLES),
+        ("waypoints", len(frame.route), MOST_WAYPOINTS),
+    ):
+        if count > most:
+            raise InvalidMessage("size", f"frame: {count} {kind}, should be at most {most}")
     check_numbers("frame", frame.reward_terms)
     check_numbers("frame", frame.decision, most=MOST_DECIDED)
+    if not 0.0 <= frame.time <= LONGEST_EPISODE:
+        raise InvalidMessage("value", f"frame: time is {frame.time:g} s, should be 0 to {LONGEST_EPISODE:g}")
     for kind, text in (("driver", frame.driver), ("town", frame.town)):
         check_text("frame", kind, text)
     for part in (frame, frame.ego, *frame.vehicles, *frame.route, frame.waypoint):

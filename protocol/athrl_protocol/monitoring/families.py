@@ -36,6 +36,10 @@ class Reader:
         self._fixed = {metric.name: metric for metric in metrics if not metric.labels}
         self._varying = [metric for metric in metrics if metric.labels]
 
+    def knows(self, name: str) -> bool:
+        """Whether the table has a metric of this name."""
+        return name in self._fixed or self._varying_place(name) is not None
+
     def read(self, values: Mapping[str, float]) -> Values:
         """Return what the table knows, without values that are not finite.
 

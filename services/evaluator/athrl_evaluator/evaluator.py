@@ -35,6 +35,7 @@ from athrl_protocol.run_file import RunFile
 
 from athrl_evaluator.broadcast import Broadcast
 from athrl_evaluator.exposition import Exposition, open_exposition
+from athrl_evaluator.report_limits import ReportLimits
 from athrl_evaluator.scorer import Scoring
 from athrl_evaluator.scoring.episodes import EpisodeObserver, EpisodeStep, Stopped
 from athrl_evaluator.scoring.results import ResultsFolder
@@ -100,6 +101,7 @@ class Evaluator(EpisodeObserver):
         self._results = stack.enter_context(EvaluationPublisher(session, run, name))
         self._metrics = stack.enter_context(MetricsPublisher(session, run, ROLE, name))
         self._early: deque[MetricsReport] = deque(maxlen=MOST_EARLY_REPORTS)
+        self._limits = ReportLimits()
         stack.enter_context(MetricsSubscriber(session, run, self._take_metrics))
         self._scored: PolicyUpdate | None = None
         self._scored_at = -float("inf")
@@ -191,5 +193,7 @@ class Evaluator(EpisodeObserver):
         state = self._states.newest()
         while state is not None and self._early:
             early = self._early.popleft()
-            name = f"{early.role}/{early.name}"
-            self._scoring.files.add(name, early.values, state.environment_steps, early.time)
+            values = self._limits.admitted(early)
+            if values:
+                name = f"{early.role}/{early.name}"
+                self._scoring.files.add(name, values, state.environment_steps, early.time)

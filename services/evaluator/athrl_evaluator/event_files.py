@@ -33,8 +33,17 @@ class EventFiles:
     TensorBoard's own writer is not used: after one failed write it fails for all later ones.
     """
 
-    def __init__(self, folder: Path, warn: Callable[[str], object] | None = None) -> None:
-        """`warn` is called with a text when the file cannot be written."""
+    def __init__(
+        self, folder: Path, warn: Callable[[str], object] | None = None, *, reserve_bytes: int = 0
+    ) -> None:
+        """Write into a folder.
+
+        Args:
+            folder: is made when it is needed.
+            warn: is called with a text when the file cannot be written.
+            reserve_bytes: with less free space nothing is written: it is for the learner's checkpoints.
+        """
+        self._reserve = reserve_bytes
         name = f"events.out.tfevents.{time.time():017.6f}.{socket.gethostname()}.{os.getpid()}"
         self._path = folder / name
         self._begun = False
@@ -66,6 +75,13 @@ class EventFiles:
             records.write(each.SerializeToString())
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            room = os.statvfs(self._path.parent)
+            if room.f_bavail * room.f_frsize < self._reserve:
+                self._warn(
+                    f"the disk of {self._path.parent} has less than the reserve of "
+                    f"{self._reserve / 2**20:,.0f} MiB; curves continue when it has more"
+                )
+                return
             append(content.getvalue(), self._path)
         except OSError as error:
             self._warn(

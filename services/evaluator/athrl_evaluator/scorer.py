@@ -58,7 +58,8 @@ class Scoring:
         self._observers = list(observers)
         self._broadcast = broadcast
         self.episodes_done = 0
-        self.files = EventFiles(folder.tensorboard, folder.warn)
+        reserve = round(run_file.durability.reserve_mebibytes * 2**20)
+        self.files = EventFiles(folder.tensorboard, folder.warn, reserve_bytes=reserve)
         self._environments = Environments(
             run_file.environment,
             min(ENVIRONMENTS, self._settings.episodes),

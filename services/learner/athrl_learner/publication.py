@@ -18,6 +18,7 @@ from athrl_learner.errors import WrongPlanner
 from athrl_learner.files import Files, write_whole
 from athrl_learner.intake.arrivals import Arrivals
 from athrl_learner.log import count_of
+from athrl_learner.log.segments import LARGEST_NUMBER
 from athrl_learner.run_folder import RunFolder
 
 
@@ -34,7 +35,8 @@ def recorded_version(facts: Path) -> int:
     """
     try:
         with parser_errors(UntrustedFile):
-            return count_of(read_json(facts)["version"])
+            version = count_of(read_json(facts)["version"])
+            return version if version <= LARGEST_NUMBER else -1
     except UntrustedFile:
         return -1
 

@@ -25,7 +25,11 @@ from athrl_learner.log import (
     numbered_segments,
 )
 from athrl_learner.log.records import HEADER_BYTES
-from athrl_learner.log.segments import SEGMENT_HEADER_BYTES
+from athrl_learner.log.segments import (
+    SEGMENT_HEADER_BYTES,
+    decode_segment_header,
+    encode_segment_header,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
@@ -305,3 +309,14 @@ def test_segments_go_when_no_kept_checkpoint_needs_them(tmp_path):
     assert set(numbered_segments(tmp_path)) == {max(present)}
     log.append(Kind.CHUNK, b"still there")
     assert read(tmp_path)[0][-1] == b"still there"
+
+
+def test_numbers_at_the_end_of_their_range_are_no_segment_of_ours(tmp_path):
+    (tmp_path / "segment-999999999999999999.log").touch()
+    assert numbered_segments(tmp_path) == {}
+    log = SegmentLog(tmp_path, segment_bytes=10**6, fsync="never")
+    log.append(Kind.CHUNK, b"body")
+    log.close()
+    assert list(numbered_segments(tmp_path)) == [1]
+    assert decode_segment_header(memoryview(encode_segment_header(1, 2**63))) is None
+    assert decode_segment_header(memoryview(encode_segment_header(1, 5))) is not None

@@ -256,3 +256,10 @@ def test_policy_lag_is_told_for_each_actor_that_is_heard(make_chunk):
     }
     now = 76.0
     assert arrivals.metrics() == {"policy_lag": 0.0, "policy_lag_seconds": 0.0}
+
+
+def test_what_cannot_be_taken_in_now_is_neither_checked_nor_logged(store, make_chunk, accept, monkeypatch):
+    fill(store, make_chunk, accept)
+    monkeypatch.setattr(store, "_write_down", lambda *_: pytest.fail("it was logged"))
+    with pytest.raises(IntakeBusy):
+        store.accept(make_chunk(levels={}), b"")

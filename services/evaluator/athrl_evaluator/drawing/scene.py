@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 import rerun as rr
 from athrl_driving import lane_polylines
+from athrl_driving.errors import DrivingError
 from athrl_protocol import Frame
 
 from athrl_evaluator.drawing import colours
@@ -25,13 +27,25 @@ APPLICATION = "athrl"
 NEAR = 60.0  # m; anything farther from the car is not drawn
 LANE_RADIUS, ROAD_RADIUS = 0.08, 1.9  # m; half the width of lines
 PAUSE = 1.0  # simulated seconds between two episodes on the timeline
+LONGEST_TIMELINE = 1e9  # simulated seconds, after which it begins again: rerun counts nanoseconds in 64 bits
+MOST_CURVES = 32  # of decided values; frames from elsewhere may have new names for ever
+MOST_TOWNS = 32  # that are loaded for one viewer
+
+log = logging.getLogger(__name__)
 
 
 class SceneDrawing:
-    """Draws one episode after another on one timeline, which continues where the last episode ended."""
+    """Draws one episode after another on one timeline, which continues where the last episode ended.
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
+    Args:
+        stream: where to.
+        towns: whose roads are drawn; None: of every town that can be loaded. Frames may name any map.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, towns: Collection[str] | None = None) -> None:
         self._stream = stream
+        self._towns = towns
+        self._roads: dict[str, list[np.ndarray]] = {}
         self._town = ""
         self._lanes: list[np.ndarray] = []
         self._offset = 0.0
@@ -58,21 +72,37 @@ class SceneDrawing:
         episode = (frame.driver, frame.policy_version, frame.episode_seed)
         if self._episode is not None and (episode != self._episode or frame.time <= self._last_time):
             self._offset += max(0.0, self._last_time) + PAUSE - frame.time
+        if self._offset > LONGEST_TIMELINE:
+            self._offset = 0.0
         self._episode = episode
 
     def _lay_out_decision(self, frame: Frame) -> None:
         """Add a view for each curve of the decision; a layout that has them all is not sent again."""
-        curves = curves_of_decision(frame.decision)
-        if not set(curves) <= set(self._laid_out):
-            self._laid_out = list(dict.fromkeys([*self._laid_out, *curves]))
+        curves = dict.fromkeys([*self._laid_out, *curves_of_decision(frame.decision)])
+        wanted = list(curves)[:MOST_CURVES]
+        if wanted != self._laid_out:
+            self._laid_out = wanted
             self._stream.send_blueprint(make_blueprint(self._laid_out))
 
     def _draw_town(self, town: str) -> None:
         self._town = town
-        self._lanes = lane_polylines(town)
+        self._lanes = self._roads_of(town)
         radius = rr.Radius.ui_points(1.0)
         roads = rr.LineStrips2D(self._lanes, colors=[colours.TOWN_ROAD], radii=[radius], draw_order=0)
         self._stream.log("town/lanes", roads, static=True)
+
+    def _roads_of(self, town: str) -> list[np.ndarray]:
+        """Return the lanes of a town; none of one that may not or cannot be loaded."""
+        if town in self._roads:
+            return self._roads[town]
+        if len(self._roads) >= MOST_TOWNS or (self._towns is not None and town not in self._towns):
+            return []
+        try:
+            self._roads[town] = lane_polylines(town)
+        except DrivingError as error:
+            log.warning("the roads of %s are not drawn: %s", town, error)
+            self._roads[town] = []
+        return self._roads[town]
 
     def _draw_in_town(self, frame: Frame) -> None:
         dot, large_dot, line = (rr.Radius.ui_points(points) for points in (2.5, 5.0, 1.5))

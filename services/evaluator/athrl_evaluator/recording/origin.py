@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.metadata import version
 from typing import Any
 
@@ -78,6 +78,10 @@ class Origin:
                     f"its {name} should be a printable text of at most {LONGEST_TEXT} characters"
                 )
         return cls(seed, settings, **found)
+
+
+ORIGIN_KEYS = frozenset(field.name for field in fields(Origin))
+"""Of the texts of a metadata record."""
 
 
 def computed_by() -> dict[str, str]:

@@ -27,7 +27,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata
 from numpy.typing import NDArray
 
-from athrl_evaluator.recording.origin import METADATA, Origin
+from athrl_evaluator.recording.origin import METADATA, ORIGIN_KEYS, Origin
 from athrl_evaluator.recording.recordings import ACTION_TOPIC, FRAME_TOPIC
 
 MEBIBYTE = 2**20
@@ -90,7 +90,7 @@ def read_driven(path: Path) -> Driven:
         elif isinstance(item, Vector2):
             actions.append((item.x, item.y))
         else:
-            texts |= item.metadata
+            texts |= {key: item.metadata[key] for key in ORIGIN_KEYS & item.metadata.keys()}
     if not texts and not actions:
         raise InvalidRecording(
             f"{path} cannot be driven again: it has no settings, no map's checksum and no actions, "

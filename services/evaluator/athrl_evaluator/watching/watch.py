@@ -89,16 +89,17 @@ def watch(
         patience = NetworkSection().patience
         try:
             session = stack.enter_context(open_session(connect=connect, timeout=patience, stop=stop))
-            run = fetch_run_file(session, run, timeout=patience, stop=stop).run.name
+            run_file = fetch_run_file(session, run, timeout=patience, stop=stop)
         except LearnerNotFound:
             if stop.is_set():
                 return
             raise
+        run = run_file.run.name
         over = _end_detector(session, run, role, name, stack)
         stream, closed, address = stack.enter_context(viewer_of(server))
         stack.enter_context(subscribe_frames(session, run, role, name, frames.put))
         tell(f"watching {role} {name}", address)
-        drawing = SceneDrawing(stream)
+        drawing = SceneDrawing(stream, run_file.environment.towns)
         while not stop.is_set() and not closed():
             frame = frames.take(POLL_SECONDS)
             if frame is not None:

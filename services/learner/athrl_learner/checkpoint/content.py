@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from athrl_learner.log import LogPosition
+from athrl_learner.log.segments import LARGEST_NUMBER
 
 #: Incremented when the layout of a checkpoint changes.
 FORMAT = 4
@@ -62,6 +63,6 @@ def numbered_checkpoints(folder: Path) -> list[tuple[int, Path]]:
     found = []
     for path in folder.iterdir() if folder.is_dir() else ():
         match = _NAME.fullmatch(path.name)
-        if match and path.is_dir():
+        if match and int(match[1]) <= LARGEST_NUMBER and path.is_dir():
             found.append((int(match[1]), path))
     return sorted(found)

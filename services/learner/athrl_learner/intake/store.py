@@ -84,19 +84,27 @@ class ExperienceStore:
             IntakeFinished: the run has all its environment steps.
             LogFailed: the log cannot be written any more.
         """
+        with self._changed:
+            self._require_room()  # first: of what is not taken in now, nothing is checked, refused or logged
         sequences = self.reader.sequences(chunk)
         with self._changed:
-            if self.complete:
-                raise IntakeFinished("the run has all its environment steps")
-            # Require room for the largest insert, whatever the length of this one: otherwise short chunks
-            # would always take the room first, and an actor with a long chunk would wait forever.
-            if not self.limiter.permits_insert(self.limiter.largest_insert):
-                self.actors_waiting.begin()
-                raise IntakeBusy(self.limiter.explain() or "the learner is busy")
+            self._require_room()
             number = self._write_down(Kind.CHUNK, message)
             self.actors_waiting.end()
             self._arrivals.arrived(chunk)
             self._take(sequences, number)
+
+    def _require_room(self) -> None:
+        """Raise IntakeFinished if the run has all its steps, IntakeBusy if there is no room for a chunk now.
+
+        There has to be room for the largest insert, whatever the length of this one: otherwise short chunks
+        would always take the room first, and an actor with a long chunk would wait forever.
+        """
+        if self.complete:
+            raise IntakeFinished("the run has all its environment steps")
+        if not self.limiter.permits_insert(self.limiter.largest_insert):
+            self.actors_waiting.begin()
+            raise IntakeBusy(self.limiter.explain() or "the learner is busy")
 
     def refuse(self, chunk: Chunk) -> None:
         """Log that a chunk is settled although it was not taken in; raises as `accept` does."""

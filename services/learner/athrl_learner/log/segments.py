@@ -17,6 +17,8 @@ FORMAT = 1
 _FIELDS = struct.Struct("<8sI4xQQ")
 _CHECKSUM = struct.Struct("<I")
 SEGMENT_HEADER_BYTES = _FIELDS.size + _CHECKSUM.size
+LARGEST_NUMBER = 10**15
+"""Of a segment, record, checkpoint or policy in a folder from elsewhere, so that there is room for more."""
 MOST_SEGMENT_BYTES = 2**30 + 2**27
 """The largest `durability.segment_mebibytes` and a record that begins within it."""
 
@@ -101,7 +103,7 @@ def numbered_segments(folder: Path) -> dict[int, Path]:
     found = []
     for path in folder.iterdir() if folder.is_dir() else ():
         match = _NAME.fullmatch(path.name)
-        if match:
+        if match and int(match[1]) <= LARGEST_NUMBER:
             found.append((int(match[1]), path))
     return dict(sorted(found))
 
@@ -118,6 +120,8 @@ def decode_segment_header(content: memoryview) -> tuple[int, int, int] | None:
     if len(raw) < SEGMENT_HEADER_BYTES:
         return None
     magic, layout, number, first = _FIELDS.unpack(raw[: _FIELDS.size])
+    if max(number, first) > LARGEST_NUMBER:
+        return None
     if magic != _MAGIC or zlib.crc32(raw[: _FIELDS.size]) != _CHECKSUM.unpack(raw[_FIELDS.size :])[0]:
         return None
     return layout, number, first
