@@ -9,8 +9,11 @@ from athrl_protocol import MetricsReport
 from athrl_protocol.monitoring.families import Reader
 from athrl_protocol.monitoring.table import ACTOR
 
-LEAST_SECONDS = 0.5
-"""Between two reports of a service that are written; each reports once a second."""
+REPORTS_A_SECOND = 2.0
+"""Of a service that are written; each reports once a second."""
+
+MOST_AT_ONCE = 60
+"""Of a service: reports wait until the run's state is known."""
 
 MOST_SERVICES = 20_000
 """Whose reports are written; a name is forgotten after a minute without a report."""
@@ -30,24 +33,27 @@ class ReportLimits:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._written_at: dict[tuple[str, str], float] = {}  # in the order of time
+        # How many more reports of each service are written, and since when; in the order of time.
+        self._left: dict[tuple[str, str], tuple[float, float]] = {}
         self._actors = Reader(ACTOR)
 
     def admitted(self, report: MetricsReport) -> Mapping[str, float]:
         """Return the values of a report that are written; of an actor only those that the table has."""
-        now, who = self._clock(), (report.role, report.name)
-        if now - self._written_at.get(who, -LEAST_SECONDS) < LEAST_SECONDS:
+        if not self._takes_one((report.role, report.name)):
             return {}
-        self._forget_before(now - _FORGOTTEN_AFTER)
-        if who not in self._written_at and len(self._written_at) >= MOST_SERVICES:
-            return {}
-        self._written_at.pop(who, None)
-        self._written_at[who] = now
         if report.role != "actor":
             return report.values
         known = [name for name in report.values if self._actors.knows(name)]
         return {name: report.values[name] for name in known[:MOST_VALUES]}
 
-    def _forget_before(self, moment: float) -> None:
-        while self._written_at and next(iter(self._written_at.values())) < moment:
-            del self._written_at[next(iter(self._written_at))]
+    def _takes_one(self, service: tuple[str, str]) -> bool:
+        """Whether one more report of a service is written; counts it."""
+        now = self._clock()
+        while self._left and now - next(iter(self._left.values()))[1] > _FORGOTTEN_AFTER:
+            del self._left[next(iter(self._left))]
+        if service not in self._left and len(self._left) >= MOST_SERVICES:
+            return False
+        left, since = self._left.pop(service, (float(MOST_AT_ONCE), now))
+        left = min(MOST_AT_ONCE, left + (now - since) * REPORTS_A_SECOND)
+        self._left[service] = (left - 1.0 if left >= 1.0 else left, now)
+        return left >= 1.0
