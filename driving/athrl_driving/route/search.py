@@ -100,11 +100,13 @@ def search_back(graph: LaneGraph, origin: int, destination: int, start: float, g
                 other, cost, at = graph.successor[index], graph.length[lane], 0.0
             else:
                 other = graph.left[lane] if step == 0 else graph.right[lane]
+                if other < 0 or not has_room:
+                    continue
                 cost = change_cost(graph, lane, start if leaving else 0.0)
                 at = along * graph.length[other] / graph.length[lane]
-                if not has_room or (other == destination and at > goal):
+                if other == destination and at > goal:
                     continue
-            if other >= 0 and so_far + cost < distance[other]:
+            if so_far + cost < distance[other]:
                 distance[other] = so_far + cost
                 before[other] = lane
                 entered[other] = at
